@@ -1,0 +1,45 @@
+# Everything stands in .venv inside the project; nothing needs to be installed by hand but
+# Python 3.11 or newer and make.
+PYTHON ?= python3
+BIN := .venv/bin
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+NATIVE := $(wildcard stereo/native/*.cpp stereo/native/*.hpp polemap/native/*.cpp polemap/native/*.hpp)
+
+.PHONY: setup demo test check lint bench campaign lock clean
+
+setup: .venv/.ready
+
+.venv/.ready: pyproject.toml setup.py requirements.lock $(NATIVE)
+	$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("polemap needs Python 3.11 or newer, this is " + sys.version.split()[0] + ": set PYTHON=python3.11")'
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	touch $@
+
+demo: setup
+	$(BIN)/polemap demo --out demo
+
+test: setup
+	$(BIN)/python -m pytest -n 2
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+check: lint test
+
+bench: setup
+	$(BIN)/python -m benchmarks
+
+campaign: setup
+	$(BIN)/python -m benchmarks.campaign
+
+lock:
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header -o requirements.lock
+
+clean:
+	rm -rf .venv build *.egg-info demo

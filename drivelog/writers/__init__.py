@@ -1,0 +1,1 @@
+"""Writers of drives, one format a file."""

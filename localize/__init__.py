@@ -1,0 +1,1 @@
+"""A map and a drive to a pose with its uncertainty."""

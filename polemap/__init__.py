@@ -1,0 +1,3 @@
+"""Disparity to poles, poles to tracks, tracks to a map."""
+
+__version__ = "0.1.0"

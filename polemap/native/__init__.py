@@ -1,0 +1,1 @@
+"""Batched assignment in C++17 (built at installation where a compiler is found)."""

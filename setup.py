@@ -1,0 +1,22 @@
+"""Builds the two C++17 kernels where a compiler is found, and goes on without them elsewhere."""
+
+from pathlib import Path
+
+from pybind11.setup_helpers import Pybind11Extension
+from setuptools import setup
+
+KERNELS = {
+    "stereo.native.census_kernel": "stereo/native/census_kernel.cpp",
+    "polemap.native.assignment_kernel": "polemap/native/assignment_kernel.cpp",
+}
+
+setup(
+    ext_modules=[
+        # optional: a failed build is a warning, and the slower fallbacks serve instead
+        Pybind11Extension(
+            module, [source], cxx_std=17, extra_compile_args=["-O3", "-pthread"], optional=True
+        )
+        for module, source in KERNELS.items()
+        if Path(source).exists()
+    ]
+)

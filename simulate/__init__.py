@@ -1,0 +1,1 @@
+"""Worlds, drives, sensor and fault models; writes drives as any recorder would."""

@@ -1,0 +1,1 @@
+"""Two images to disparity and depth edges. Imports no other room."""

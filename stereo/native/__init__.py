@@ -1,0 +1,1 @@
+"""The census matcher in C++17 (built at installation where a compiler is found)."""

@@ -1,0 +1,1 @@
+"""Commands, reports and pictures: the only room with a screen."""

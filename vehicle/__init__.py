@@ -1,0 +1,1 @@
+"""How the car moves, how to estimate it and how to control it. Imports no other room."""

@@ -1,0 +1,1 @@
+"""Controllers on the estimates, one file each."""

@@ -1,0 +1,1 @@
+"""State estimators for electric vehicles, one file each."""
