@@ -1,0 +1,101 @@
+"""The console command `polemap`: one line a verb, one handler for what goes wrong."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+
+import typer
+from typer import TyperException
+
+from drivelog.errors import PolemapError
+from polemap import __version__
+from stereo.errors import StereoError
+from vehicle.errors import VehicleError
+
+# verb: (module with its function `command`, what it does)
+VERBS = {
+    "demo": ("tools.demo", "The whole main job on an embedded simulated drive."),
+    "simulate": ("tools.simulate", "Write a simulated drive."),
+    "info": ("tools.info", "Say what is inside a drive or a map."),
+    "disparity": ("tools.disparity", "Match one rectified stereo pair."),
+    "detect": ("tools.detect", "Find the poles in the frames of a drive."),
+    "train": ("tools.train", "Train the pole classifier on drives with a known pole map."),
+    "map": ("tools.map", "Build, update or compare pole maps."),
+    "localize": ("tools.localize", "Replay a drive against a map."),
+    "report": ("tools.report.command", "Report repeatability and accuracy of runs."),
+    "estimate": ("tools.estimate", "Run a side-slip or velocity estimator on a signal log."),
+    "study": ("tools.study", "Rerun a source paper's simulation beside its claims."),
+}
+GOOD, CRASH, USER_ERROR, INTERRUPTED = 0, 1, 2, 130
+USER_ERRORS = (PolemapError, StereoError, VehicleError)
+
+
+def _listed_only() -> None:
+    """Stand for a verb that this call lists but does not run, so that its imports are saved."""
+
+
+def _help_of(function: Callable[..., object], summary: str) -> str:
+    """The verb's docstring, its examples first and with their line breaks kept."""
+    text = inspect.getdoc(function) or summary
+    head, mark, examples = text.partition("Examples:")
+    if not mark:
+        return text
+    block, _, rest = examples.strip("\n").partition("\n\n")
+    return f"\b\nExamples:\n{block}\n\n{head.strip()}\n\n{rest.strip()}".strip()
+
+
+def build_app(verb: str | None) -> typer.Typer:
+    """The command line with `verb` ready to run and the others listed."""
+    app = typer.Typer(
+        name="polemap",
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+
+    @app.callback(invoke_without_command=True)
+    def root(
+        context: typer.Context,
+        version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+    ) -> None:
+        """Know where the car is from the poles beside the road."""
+        if version:
+            typer.echo(f"polemap {__version__}")
+            raise typer.Exit
+        if context.invoked_subcommand is None:
+            typer.echo(context.get_help())
+
+    for name, (module, summary) in VERBS.items():
+        function = import_module(module).command if name == verb else _listed_only
+        text = _help_of(function, summary) if name == verb else summary
+        app.command(name, help=text, short_help=summary)(function)
+    return app
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line; every error that the user can mend is one line on stderr."""
+    verb = next((word for word in arguments if not word.startswith("-")), None)
+    try:
+        result = build_app(verb)(args=list(arguments), prog_name="polemap", standalone_mode=False)
+        return result if isinstance(result, int) else GOOD
+    except TyperException as error:
+        return _complain(error.format_message() or "--help lists the verbs")
+    except USER_ERRORS as error:
+        return _complain(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        _complain("interrupted; nothing half-written stays under a final name")
+        return INTERRUPTED
+
+
+def _complain(message: str) -> int:
+    sys.stderr.write(f"polemap: {' '.join(message.split())}\n")
+    return USER_ERROR
+
+
+def main() -> None:
+    """Entry point; a crash leaves its traceback and exit code 1."""
+    sys.exit(run(sys.argv[1:]))

@@ -1,0 +1,97 @@
+"""All settings in one tree: defaults, then `--config FILE.yaml`, then `--set key=value`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from drivelog.errors import ConfigError
+from localize.config import LocalizeConfig
+from polemap.config import PolemapConfig
+from simulate.config import SimulateConfig
+from stereo.config import StereoConfig
+
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="YAML file that overrides defaults.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Override one default, such as localize.particles=500."),
+]
+SeedOption = Annotated[int, typer.Option("--seed", help="Makes the run repeatable bit for bit.")]
+
+
+class Settings(BaseModel):
+    """Every setting of every room; unknown keys are an error on each level."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    stereo: StereoConfig = StereoConfig()
+    polemap: PolemapConfig = PolemapConfig()
+    localize: LocalizeConfig = LocalizeConfig()
+    simulate: SimulateConfig = SimulateConfig()
+
+
+def load_settings(config_file: Path | None = None, set_values: list[str] | None = None) -> Settings:
+    """Settings from an optional YAML file and `key=value` overrides (dots lead into sections).
+
+    Raises:
+        ConfigError: the file cannot be read, a key is unknown or a value out of its range.
+    """
+    tree = _read_tree(config_file) if config_file is not None else {}
+    for item in set_values or []:
+        key, equals, value = item.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {item}: expected key=value, such as localize.particles=500")
+        _put(tree, key.strip(), _parse(item, value))
+    place = f"settings ({config_file})" if config_file else "settings"
+    try:
+        return Settings.model_validate(tree)
+    except ValidationError as error:
+        raise ConfigError(f"{place}: {_first_problem(error)}") from error
+
+
+def _read_tree(path: Path) -> dict[str, Any]:
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as a settings file ({error})") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: is not YAML ({error})") from error
+    if tree is None:
+        return {}
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: expected sections such as 'localize:', found a {type(tree)}")
+    return tree
+
+
+def _parse(item: str, value: str) -> Any:
+    try:
+        return yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"--set {item}: the value is not YAML") from error
+
+
+def _put(tree: dict[str, Any], key: str, value: Any) -> None:
+    *sections, leaf = key.split(".")
+    for section in sections:
+        tree = tree.setdefault(section, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"--set {key}: '{section}' is a value, not a section")
+    tree[leaf] = value
+
+
+def _first_problem(error: ValidationError) -> str:
+    """One line for the first of the problems, with the known keys where one is unknown."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        model: Any = Settings
+        for part in first["loc"][:-1]:
+            model = model.model_fields[str(part)].annotation
+        return f"unknown key '{key}'; known here: {', '.join(model.model_fields)}"
+    return f"{key} = {first.get('input')!r}: {first['msg'].lower()}"
