@@ -1,0 +1,168 @@
+"""How a car moves between two moments: arcs for odometry, CTRV for the output filter.
+
+Every function takes arrays with leading dimensions, so one code serves a single pose `(3,)` and
+all particles `(n, 3)`. Nothing divides by the yaw rate: the chord of an arc is its length times
+`sin(h) / h` with half the turned angle h, which is smooth through zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehicle.pose import shift_forward, wrap_angle
+
+Floats = NDArray[np.float64]
+
+# below this the series of (h cos h - sin h) / h^2 is exact to the last bit, the quotient is not
+_SERIES_BELOW_RAD = 0.05
+
+
+def sinc(angle_rad: ArrayLike) -> Floats:
+    """`sin(angle) / angle`, 1 at zero; any shape."""
+    return np.sinc(np.asarray(angle_rad, dtype=np.float64) / np.pi)
+
+
+def sinc_slope(angle_rad: ArrayLike) -> Floats:
+    """Derivative of `sin(angle) / angle`, 0 at zero; any shape."""
+    h = np.asarray(angle_rad, dtype=np.float64)
+    small = np.abs(h) < _SERIES_BELOW_RAD
+    safe = np.where(small, 1.0, h)
+    h2 = h * h
+    series = -h / 3.0 * (1.0 - h2 / 10.0 * (1.0 - h2 / 28.0 * (1.0 - h2 / 54.0)))
+    return np.where(small, series, (safe * np.cos(safe) - np.sin(safe)) / (safe * safe))
+
+
+def move_along_arc(poses: ArrayLike, distance_m: ArrayLike, turn_rad: ArrayLike) -> Floats:
+    """Rear-axle poses moved along a circular arc.
+
+    Args:
+        poses: `(..., 3)` east, north, yaw of the rear axle.
+        distance_m: `(...)` signed length of the arc.
+        turn_rad: `(...)` angle turned on it, counter-clockwise positive.
+
+    Returns:
+        `(..., 3)`, yaw wrapped to [-pi, pi).
+
+    Source: S16 (1)-(6), in the form without the division by the yaw rate (ERRATA, Odometry).
+    """
+    start = np.asarray(poses, dtype=np.float64)
+    half = 0.5 * np.asarray(turn_rad, dtype=np.float64)
+    chord = np.asarray(distance_m, dtype=np.float64) * sinc(half)
+    heading = start[..., 2] + half
+    x = start[..., 0] + chord * np.cos(heading)
+    y = start[..., 1] + chord * np.sin(heading)
+    return np.stack(np.broadcast_arrays(x, y, wrap_angle(heading + half)), axis=-1)
+
+
+def move_point_along_arc(
+    poses: ArrayLike, distance_m: ArrayLike, turn_rad: ArrayLike, ahead_m: float
+) -> Floats:
+    """The same for poses `(..., 3)` of a point `ahead_m` before the rear axle.
+
+    `distance_m` is still the arc of the rear axle. With the wheelbase this is the odometry of the
+    front axle that S16 uses.
+    """
+    rear = shift_forward(np.asarray(poses, dtype=np.float64), -ahead_m)
+    return shift_forward(move_along_arc(rear, distance_m, turn_rad), ahead_m)
+
+
+def arc_jacobians(
+    poses: ArrayLike, distance_m: ArrayLike, turn_rad: ArrayLike
+) -> tuple[Floats, Floats]:
+    """Derivatives of `move_along_arc` by the pose `(..., 3, 3)` and by (distance, turn)
+    `(..., 3, 2)`.
+    """
+    start = np.asarray(poses, dtype=np.float64)
+    distance, turn = np.asarray(distance_m, dtype=np.float64), np.asarray(turn_rad)
+    half = 0.5 * turn
+    heading = start[..., 2] + half
+    c, s = np.cos(heading), np.sin(heading)
+    shape = np.broadcast_shapes(heading.shape, distance.shape)
+    chord, ratio, slope = distance * sinc(half), sinc(half), distance * sinc_slope(half)
+    by_pose = np.zeros((*shape, 3, 3))
+    by_pose[..., :, :] = np.eye(3)
+    by_pose[..., 0, 2] = -chord * s
+    by_pose[..., 1, 2] = chord * c
+    by_input = np.zeros((*shape, 3, 2))
+    by_input[..., 0, 0] = ratio * c
+    by_input[..., 1, 0] = ratio * s
+    by_input[..., 0, 1] = 0.5 * (slope * c - chord * s)
+    by_input[..., 1, 1] = 0.5 * (slope * s + chord * c)
+    by_input[..., 2, 1] = 1.0
+    return by_pose, by_input
+
+
+def ctrv_step(states: ArrayLike, dt_s: ArrayLike) -> Floats:
+    """Constant turn rate and velocity over `dt_s`, which may be negative.
+
+    Args:
+        states: `(..., 5)` east, north, yaw, speed, yaw rate of the rear axle.
+        dt_s: `(...)`.
+
+    Source: S16, output Kalman filter (III-D).
+    """
+    start = np.asarray(states, dtype=np.float64)
+    dt = np.asarray(dt_s, dtype=np.float64)
+    moved = move_along_arc(start[..., :3], start[..., 3] * dt, start[..., 4] * dt)
+    rest = np.broadcast_to(start[..., 3:], (*moved.shape[:-1], 2))
+    return np.concatenate([moved, rest], axis=-1)
+
+
+def ctrv_jacobian(states: ArrayLike, dt_s: ArrayLike) -> Floats:
+    """Derivative `(..., 5, 5)` of `ctrv_step` by the state."""
+    start = np.asarray(states, dtype=np.float64)
+    dt = np.asarray(dt_s, dtype=np.float64)
+    by_pose, by_input = arc_jacobians(start[..., :3], start[..., 3] * dt, start[..., 4] * dt)
+    jacobian = np.zeros((*by_pose.shape[:-2], 5, 5))
+    jacobian[..., :3, :3] = by_pose
+    jacobian[..., :3, 3:] = by_input * dt[..., None, None]
+    jacobian[..., 3, 3] = jacobian[..., 4, 4] = 1.0
+    return jacobian
+
+
+def ctrv_process_noise(
+    states: ArrayLike,
+    dt_s: ArrayLike,
+    *,
+    acceleration_m2ps3: float,
+    yaw_acceleration_rad2ps3: float,
+    lateral_m2ps: ArrayLike = 0.0,
+) -> Floats:
+    """Covariance `(..., 5, 5)` that white accelerations add over `dt_s`.
+
+    The chains speed -> position along the path and yaw rate -> yaw -> position across it are
+    integrated exactly, with the heading held at its middle: exact on a straight, and positive
+    semi-definite always.
+
+    Args:
+        states: `(..., 5)` as in `ctrv_step`.
+        dt_s: `(...)`, not negative.
+        acceleration_m2ps3: spectral density of the longitudinal acceleration.
+        yaw_acceleration_rad2ps3: spectral density of the yaw acceleration.
+        lateral_m2ps: `(...)` spectral density of a sideways velocity (slip) that CTRV lacks.
+    """
+    start = np.asarray(states, dtype=np.float64)
+    dt = np.asarray(dt_s, dtype=np.float64)
+    v = start[..., 3]
+    qa, qw = acceleration_m2ps3, yaw_acceleration_rad2ps3
+    heading = start[..., 2] + 0.5 * start[..., 4] * dt
+    local = np.zeros((*np.broadcast_shapes(heading.shape, dt.shape), 5, 5))
+    dt2 = dt * dt
+    dt3 = dt2 * dt
+    local[..., 0, 0] = qa * dt3 / 3.0
+    local[..., 0, 3] = local[..., 3, 0] = qa * dt2 / 2.0
+    local[..., 3, 3] = qa * dt
+    local[..., 1, 1] = qw * v * v * dt2 * dt3 / 20.0 + np.asarray(lateral_m2ps) * dt
+    local[..., 1, 2] = local[..., 2, 1] = qw * v * dt2 * dt2 / 8.0
+    local[..., 1, 4] = local[..., 4, 1] = qw * v * dt3 / 6.0
+    local[..., 2, 2] = qw * dt3 / 3.0
+    local[..., 2, 4] = local[..., 4, 2] = qw * dt2 / 2.0
+    local[..., 4, 4] = qw * dt
+    turn = np.zeros_like(local)
+    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(heading)
+    turn[..., 1, 0] = np.sin(heading)
+    turn[..., 0, 1] = -turn[..., 1, 0]
+    for i in (2, 3, 4):
+        turn[..., i, i] = 1.0
+    return np.asarray(turn @ local @ np.swapaxes(turn, -1, -2))
