@@ -2,38 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from stereo.config import StereoConfig
+from stereo.matching_types import DisparityPair, Image, StereoMatcher
+from stereo.opencv_sgbm import OpenCvSgbm
+from stereo.rig import StereoRig
 
-import numpy as np
-from numpy.typing import NDArray
-
-Image = NDArray[np.uint8] | NDArray[np.uint16]
-
-
-@dataclass(frozen=True, slots=True)
-class DisparityPair:
-    """Disparity of the left and of the right view, `(height, width)` float32 pixels.
-
-    `left[v, u]` belongs to left pixel (u, v) and its partner is right pixel (u - disparity, v);
-    `right[v, u]` to right pixel (u, v), partner (u + disparity, v). NaN where there is none.
-    `*_unchecked` hold the maps before the left-right check (half-occlusions keep a value there).
-    """
-
-    left: NDArray[np.float32]
-    right: NDArray[np.float32]
-    left_unchecked: NDArray[np.float32] | None = None
-    right_unchecked: NDArray[np.float32] | None = None
+__all__ = ["DisparityPair", "Image", "StereoMatcher", "make_matcher"]
 
 
-class StereoMatcher(Protocol):
-    """Computes both disparity maps of a rectified pair.
-
-    Raises:
-        StereoError: images of different size or type, or too small for the disparity range.
-    """
-
-    @property
-    def name(self) -> str: ...
-
-    def match(self, left: Image, right: Image) -> DisparityPair: ...
+def make_matcher(config: StereoConfig, rig: StereoRig | None = None) -> StereoMatcher:
+    """The matcher that `config` names; with a rig it refuses images of another size."""
+    return OpenCvSgbm(config, rig)

@@ -1,0 +1,71 @@
+"""What every matcher checks before, and the left-right check after."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereo.config import StereoConfig
+from stereo.errors import StereoError
+from stereo.matching_types import DisparityPair, Image
+from stereo.rig import StereoRig
+
+Disparity = NDArray[np.float32]
+
+
+def check_pair(left: Image, right: Image, config: StereoConfig, rig: StereoRig | None) -> None:
+    """Refuses what no matcher can work with.
+
+    Raises:
+        StereoError: not grey, not 8 or 16 bit, different sizes or types, not the rig's size, or
+            narrower than the smallest disparity.
+    """
+    for side, image in (("left", left), ("right", right)):
+        if image.ndim != 2:
+            raise StereoError(f"the {side} image has shape {image.shape}, it must be grey (h, w)")
+        if image.dtype not in (np.uint8, np.uint16):
+            raise StereoError(f"the {side} image is {image.dtype}, it must be uint8 or uint16")
+    if left.shape != right.shape or left.dtype != right.dtype:
+        raise StereoError(
+            f"left image {left.shape} {left.dtype} and right image {right.shape} {right.dtype} "
+            "differ, a pair needs the same size and type"
+        )
+    height, width = left.shape
+    if height < 1 or width <= config.min_disparity_px:
+        raise StereoError(
+            f"an image of {width}x{height} px has no column with a disparity of at least "
+            f"{config.min_disparity_px} px: lower min_disparity_px or use larger images"
+        )
+    if rig is not None and (width, height) != (rig.width_px, rig.height_px):
+        raise StereoError(
+            f"images of {width}x{height} px do not fit a rig of "
+            f"{rig.width_px}x{rig.height_px} px: rectify them with this rig's calibration"
+        )
+
+
+def _consistent(disparity: Disparity, other: Disparity, sign: int, limit: float) -> Disparity:
+    """`disparity` where the partner in `other` agrees to within `limit`, NaN elsewhere."""
+    width = disparity.shape[1]
+    column = np.arange(width, dtype=np.float32)
+    known = np.isfinite(disparity)
+    shifted = column + np.float32(sign) * np.where(known, disparity, np.float32(0))
+    partner = np.floor(shifted + np.float32(0.5)).astype(np.int64)
+    known &= (partner >= 0) & (partner < width)
+    seen = np.take_along_axis(other, np.clip(partner, 0, width - 1), axis=1)
+    with np.errstate(invalid="ignore"):
+        known &= np.abs(seen - disparity) <= np.float32(limit)
+    return np.where(known, disparity, np.float32(np.nan))
+
+
+def check_left_right(
+    left: Disparity, right: Disparity, tolerance_px: float | None
+) -> DisparityPair:
+    """Keeps in both maps what the other view confirms; None keeps everything."""
+    if tolerance_px is None:
+        return DisparityPair(left, right, left, right)
+    return DisparityPair(
+        _consistent(left, right, -1, tolerance_px),
+        _consistent(right, left, +1, tolerance_px),
+        left,
+        right,
+    )

@@ -1,0 +1,96 @@
+"""OpenCV's StereoSGBM behind census-type preprocessing, for both views."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stereo.census import census_planes, partial_ranks, rank_transform
+from stereo.checks import check_left_right, check_pair
+from stereo.config import Preprocessing, StereoConfig
+from stereo.matching_types import DisparityPair, Image
+from stereo.rig import StereoRig
+
+_MODES = {
+    "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
+    "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    "hh": cv2.STEREO_SGBM_MODE_HH,
+    "hh4": cv2.STEREO_SGBM_MODE_HH4,
+}
+_SUBPIXELS = 16.0
+
+
+def preprocess(image: Image, kind: Preprocessing) -> NDArray[np.uint8]:
+    """What StereoSGBM is given to see: 8 bit, one channel `(h, w)` or three `(h, w, 3)`."""
+    if kind == "rank7x7":
+        return rank_transform(image, 3)
+    if kind == "partial_ranks":
+        return partial_ranks(image)
+    if kind == "census_bytes":
+        return np.ascontiguousarray(np.moveaxis(census_planes(image), 0, -1))
+    if kind == "clahe":
+        # in the image's own depth, so that dark 16-bit images keep their texture
+        image = cast(Image, cv2.createCLAHE(2.0, (8, 8)).apply(image))
+    if image.dtype == np.uint16:
+        top = max(int(image.max()), 1)
+        return np.asarray(image.astype(np.uint32) * 255 // top, dtype=np.uint8)
+    return np.asarray(image, dtype=np.uint8)
+
+
+class OpenCvSgbm:
+    """StereoSGBM on the pair and, for the right view, on the flipped and swapped pair.
+
+    Flipping gives a right map of its own aggregation: the winner over the left view's sums would
+    inherit the left view's occlusions.
+    """
+
+    name = "opencv_sgbm"
+
+    def __init__(self, config: StereoConfig, rig: StereoRig | None = None) -> None:
+        self._config = config
+        self._rig = rig
+
+    def match(self, left: Image, right: Image) -> DisparityPair:
+        """Both disparity maps of a rectified pair.
+
+        Raises:
+            StereoError: images of different size or type, or too small for the search range.
+        """
+        check_pair(left, right, self._config, self._rig)
+        kind = self._config.opencv.preprocessing
+        with ThreadPoolExecutor(max_workers=2) as pool:
+            left8, right8 = pool.map(lambda image: preprocess(image, kind), (left, right))
+            flipped = [np.ascontiguousarray(image[:, ::-1]) for image in (right8, left8)]
+            left_job = pool.submit(self._left_map, left8, right8)
+            right_job = pool.submit(self._left_map, *flipped)
+            left_map = left_job.result()
+            right_map = np.ascontiguousarray(right_job.result()[:, ::-1])
+        return check_left_right(left_map, right_map, self._config.left_right_tolerance_px)
+
+    def _left_map(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
+        config, settings = self._config, self._config.opencv
+        channels = 3 if left.ndim == 3 else 1
+        scale = channels * settings.block_size_px**2
+        # StereoSGBM leaves the first columns of its search range empty: a border keeps them
+        border = config.min_disparity_px + config.disparities
+        matcher = cv2.StereoSGBM.create(
+            minDisparity=config.min_disparity_px,
+            numDisparities=config.disparities,
+            blockSize=settings.block_size_px,
+            P1=settings.p1 * scale,
+            P2=settings.p2 * scale,
+            disp12MaxDiff=-1,
+            preFilterCap=63,
+            uniquenessRatio=config.uniqueness_percent,
+            mode=_MODES[settings.mode],
+        )
+        pads = (0, 0, border, 0, cv2.BORDER_REPLICATE)
+        raw = matcher.compute(cv2.copyMakeBorder(left, *pads), cv2.copyMakeBorder(right, *pads))
+        disparity = raw[:, border:].astype(np.float32) / np.float32(_SUBPIXELS)
+        column = np.arange(disparity.shape[1], dtype=np.float32)
+        known = (disparity >= config.min_disparity_px) & (disparity <= column)
+        return np.where(known, disparity, np.float32(np.nan))
