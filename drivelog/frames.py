@@ -151,7 +151,7 @@ def geographic_from_grid(frame: EarthFrame, points_m: ArrayLike) -> Floats:
 
 
 def convergence_rad(frame: EarthFrame, points_m: ArrayLike) -> Floats:
-    """Angle from geographic to grid north at points `(..., 2)`, positive where grid north lies east.
+    """Angle from geographic to grid north at points `(..., 2)`, positive where the latter is east.
 
     A yaw counter-clockwise from geographic east becomes a grid yaw by adding it: east of the
     central meridian, north of the equator, a car that drives due north has a grid yaw above
@@ -166,7 +166,7 @@ def convergence_rad(frame: EarthFrame, points_m: ArrayLike) -> Floats:
 
 
 def point_scale(frame: EarthFrame, points_m: ArrayLike) -> Floats:
-    """Grid metres per metre on the ellipsoid at points `(..., 2)`; 0.9996 on the central meridian."""
+    """Grid metres per metre on the ellipsoid at points `(..., 2)`; 0.9996 in a zone's middle."""
     place = geographic_from_grid(frame, points_m)
     factors = _projection(_utm_epsg(frame)).get_factors(place[..., 1], place[..., 0])
     return np.asarray(factors.meridional_scale, dtype=np.float64)

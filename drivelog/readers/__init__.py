@@ -1,1 +1,1 @@
-"""Readers of drives, one format a file; found through the entry points `polemap.readers`."""
+"""One file a kind of recording; found through the entry points `polemap.readers`."""

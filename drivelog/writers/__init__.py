@@ -1,1 +1,1 @@
-"""Writers of drives, one format a file."""
+"""Drives to the disk, as a recorder would leave them."""

@@ -1,0 +1,110 @@
+"""`drive.yaml`: what a plain drive folder says about itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivelog.errors import InputError
+
+_Finite = Field(allow_inf_nan=False)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+
+class VehiclePart(_Part):
+    """The car."""
+
+    wheelbase_m: float = Field(gt=0.5, lt=20.0, allow_inf_nan=False)
+
+
+class MountingPart(_Part):
+    """The left camera in the vehicle frame."""
+
+    x_m: float = _Finite
+    y_m: float = _Finite
+    z_m: float = _Finite
+    roll_rad: float = Field(0.0, allow_inf_nan=False)
+    pitch_rad: float = Field(0.0, allow_inf_nan=False)
+    yaw_rad: float = Field(0.0, allow_inf_nan=False)
+
+
+class CameraPart(_Part):
+    """The rectified stereo pair."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    focal_px: float = Field(gt=0, allow_inf_nan=False)
+    cx_px: float = _Finite
+    cy_px: float = _Finite
+    baseline_m: float = Field(gt=0, allow_inf_nan=False)
+    vehicle_from_camera: MountingPart
+
+
+class AntennaPart(_Part):
+    """The GNSS antenna in the vehicle frame."""
+
+    x_m: float = _Finite
+    y_m: float = _Finite
+
+
+class DetectorPart(_Part):
+    """Where the detector behind poles.csv could have seen a pole (our extension, optional)."""
+
+    x_m: float = _Finite
+    y_m: float = _Finite
+    bearing_min_rad: float = Field(ge=-3.1416, le=3.1416)
+    bearing_max_rad: float = Field(ge=-3.1416, le=3.1416)
+    range_min_m: float = Field(0.0, ge=0.0)
+    range_max_m: float = Field(gt=0.0, allow_inf_nan=False)
+
+
+class DriveYaml(_Part):
+    """All of drive.yaml; keys that are not known are kept aside and noted."""
+
+    format_version: Literal[1]
+    name: str = Field(min_length=1)
+    frame: dict[str, Any]
+    vehicle: VehiclePart
+    camera: CameraPart | None = None
+    gnss_antenna: AntennaPart | None = None
+    pole_detector: DetectorPart | None = None
+    notes: tuple[str, ...] = ()
+
+    def unknown_keys(self) -> list[str]:
+        """Dotted names of the keys that nothing reads."""
+        names = list(self.model_extra or {})
+        for part in ("vehicle", "camera", "gnss_antenna", "pole_detector"):
+            value = getattr(self, part)
+            if value is not None:
+                names += [f"{part}.{key}" for key in value.model_extra or {}]
+        return names
+
+
+def read_drive_yaml(path: Path) -> DriveYaml:
+    """Read and check a drive.yaml.
+
+    Raises:
+        InputError: unreadable, no YAML, a key missing or a value out of its range.
+    """
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        detail = " ".join(str(error).split())
+        raise InputError(f"{path}: not YAML ({detail[:120]})") from error
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: holds no keys; see the plain drive folder in docs/drives.md")
+    try:
+        return DriveYaml.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "top level"
+        given = first["input"] if not isinstance(first["input"], dict) else "absent"
+        raise InputError(f"{path}: {place}: {first['msg']} (found {str(given)[:60]})") from error

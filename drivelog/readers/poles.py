@@ -1,0 +1,148 @@
+"""poles.csv and scans.csv: poles that were detected elsewhere, and when the detector looked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import pi
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.readers.drive_yaml import DetectorPart
+from drivelog.samples import PoleScan, VisibleRegion
+from drivelog.tables import Table, read_table, sorted_by_stamp
+
+Floats = NDArray[np.float64]
+
+_COLUMNS = ("stamp_s", "x_m", "y_m", "var_x_m2", "var_y_m2", "cov_xy_m2")
+_FEW = 200  # fewer poles than this do not show the outline of a sensor's view
+
+
+def read_scans(
+    folder: Path, detector: DetectorPart | None, problems: Counter[str]
+) -> tuple[tuple[PoleScan, ...], str | None]:
+    """All scans of a folder, and a note where their view had to be estimated.
+
+    Rows with numbers that are not finite or a covariance that is not positive are left out and
+    counted.
+
+    Raises:
+        InputError: see `drivelog.tables`.
+    """
+    poles_path, scans_path = folder / "poles.csv", folder / "scans.csv"
+    if not poles_path.is_file() and not scans_path.is_file():
+        return (), None
+    looks = np.empty(0)
+    if scans_path.is_file():
+        table = sorted_by_stamp(read_table(scans_path, ("stamp_s",)), duplicates="drop")
+        _count(table, problems)
+        looks = table["stamp_s"]
+    poles = _read_poles(poles_path, problems) if poles_path.is_file() else None
+    stamps = np.unique(np.concatenate([looks, poles["stamp_s"]])) if poles else looks
+    if poles and len(looks):
+        unlisted = len(stamps) - len(looks)
+        if unlisted:
+            problems["poles_stamp_not_in_scans"] += unlisted
+    view, note = _view(detector, poles)
+    return _scans(stamps, poles, view), note
+
+
+def _count(table: Table, problems: Counter[str]) -> None:
+    for reason, count in table.dropped.items():
+        problems[f"{table.path.stem}_{reason}"] += count
+
+
+def _read_poles(path: Path, problems: Counter[str]) -> Table:
+    table = read_table(path, _COLUMNS, optional=("width_m", "arrival_s", "probability"))
+    table = sorted_by_stamp(table, duplicates="allow")
+    var_x, var_y = table["var_x_m2"], table["var_y_m2"]
+    positive = (var_x > 0) & (var_y > 0) & (var_x * var_y > table["cov_xy_m2"] ** 2)
+    table = table.keep(positive, "covariance_not_positive")
+    _count(table, problems)
+    return table
+
+
+def _scans(stamps: Floats, poles: Table | None, view: VisibleRegion | None) -> tuple[PoleScan, ...]:
+    if poles is None:
+        empty = np.empty(0)
+        return tuple(
+            PoleScan(float(t), float(t), np.empty((0, 2)), np.empty((0, 2, 2)), empty,
+                     np.empty(0, dtype=np.int64), empty, view)
+            for t in stamps
+        )  # fmt: skip
+    n = len(poles)
+    points = np.stack([poles["x_m"], poles["y_m"]], axis=1)
+    covariance = np.empty((n, 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = poles["var_x_m2"], poles["var_y_m2"]
+    covariance[:, 0, 1] = covariance[:, 1, 0] = poles["cov_xy_m2"]
+    width = poles["width_m"] if "width_m" in poles else np.full(n, np.nan)
+    existence = poles["probability"] if "probability" in poles else np.ones(n)
+    arrival = poles["arrival_s"] if "arrival_s" in poles else poles["stamp_s"]
+    arrival = np.where(arrival >= poles["stamp_s"], arrival, poles["stamp_s"])
+    ids = np.full(n, -1, dtype=np.int64)
+    for values in (points, covariance, width, existence, ids):
+        values.setflags(write=False)
+    first = np.searchsorted(poles["stamp_s"], stamps, side="left")
+    last = np.searchsorted(poles["stamp_s"], stamps, side="right")
+    scans = []
+    for stamp, a, b in zip(stamps, first, last, strict=True):
+        rows = slice(int(a), int(b))
+        seen = float(arrival[rows].max()) if b > a else float(stamp)
+        scans.append(
+            PoleScan(float(stamp), seen, points[rows], covariance[rows], width[rows], ids[rows],
+                     existence[rows], view)
+        )  # fmt: skip
+    return tuple(scans)
+
+
+def _view(
+    detector: DetectorPart | None, poles: Table | None
+) -> tuple[VisibleRegion | None, str | None]:
+    """What the detector could see: as drive.yaml says, else the outline of what it did see."""
+    if detector is not None:
+        region = VisibleRegion(
+            np.array([detector.x_m, detector.y_m]),
+            detector.bearing_min_rad,
+            detector.bearing_max_rad,
+            detector.range_min_m,
+            np.array([detector.range_max_m]),
+        )
+        return region, None
+    if poles is None or len(poles) < _FEW:
+        return None, None
+    region = estimate_view(np.stack([poles["x_m"], poles["y_m"]], axis=1))
+    return region, (
+        "drive.yaml has no pole_detector: its field of view was estimated from poles.csv "
+        f"({np.degrees(region.bearing_min_rad):.0f} to {np.degrees(region.bearing_max_rad):.0f} "
+        f"degrees, to {region.free_range_m[0]:.0f} m)"
+    )
+
+
+def estimate_view(points_vehicle_m: Floats) -> VisibleRegion:
+    """The sector that holds nearly all of the points `(n, 2)`, seen from the rear axle.
+
+    A sensor at the front that looks to both sides would fill more than half a turn from there;
+    then its place is taken as the hindmost point, from which the points span half a turn.
+    """
+    points = np.asarray(points_vehicle_m, dtype=np.float64)
+    origin = np.zeros(2)
+    low, high = _bearings(points)
+    if high - low > np.radians(150.0):
+        hindmost = float(np.quantile(points[:, 0], 0.001))
+        if hindmost > 0.5:
+            origin = np.array([hindmost, 0.0])
+            low, high = _bearings(points - origin)
+    distance = np.hypot(*(points - origin).T)
+    return VisibleRegion(
+        origin,
+        max(low, -pi),
+        min(high, pi),
+        float(np.quantile(distance, 0.002)),
+        np.array([float(np.quantile(distance, 0.95))]),
+    )
+
+
+def _bearings(points: Floats) -> tuple[float, float]:
+    bearing = np.arctan2(points[:, 1], points[:, 0])
+    return float(np.quantile(bearing, 0.005)), float(np.quantile(bearing, 0.995))

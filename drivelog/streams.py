@@ -1,0 +1,142 @@
+"""The streams of a drive as columns: compact to hold, quick to search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.samples import GnssFix, OdometrySample, ReferencePose
+from vehicle.pose import Pose2D, wrap_angle
+
+Floats = NDArray[np.float64]
+Rows = slice | NDArray[np.bool_] | NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryStream:
+    """Wheel odometry; every array `(n,)`, sorted by `stamp_s`."""
+
+    stamp_s: Floats
+    arrival_s: Floats
+    speed_mps: Floats
+    yaw_rate_radps: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def sample(self, row: int) -> OdometrySample:
+        return OdometrySample(
+            float(self.stamp_s[row]),
+            float(self.arrival_s[row]),
+            float(self.speed_mps[row]),
+            float(self.yaw_rate_radps[row]),
+        )
+
+    def rows(self, rows: Rows) -> OdometryStream:
+        return OdometryStream(
+            self.stamp_s[rows],
+            self.arrival_s[rows],
+            self.speed_mps[rows],
+            self.yaw_rate_radps[rows],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GnssStream:
+    """GNSS fixes of the antenna in the drive's frame; every array `(n,)`, sorted by `stamp_s`."""
+
+    stamp_s: Floats
+    arrival_s: Floats
+    east_m: Floats
+    north_m: Floats
+    hdop: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def sample(self, row: int) -> GnssFix:
+        return GnssFix(
+            float(self.stamp_s[row]),
+            float(self.arrival_s[row]),
+            float(self.east_m[row]),
+            float(self.north_m[row]),
+            float(self.hdop[row]),
+        )
+
+    def rows(self, rows: Rows) -> GnssStream:
+        return GnssStream(
+            self.stamp_s[rows],
+            self.arrival_s[rows],
+            self.east_m[rows],
+            self.north_m[rows],
+            self.hdop[rows],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceStream:
+    """Rear-axle poses `(n, 3)` east, north, yaw of a reference system, sorted by `stamp_s`.
+
+    `sd_m` `(n,)` is its own standard deviation per axis, NaN where it does not say.
+    """
+
+    stamp_s: Floats
+    poses: Floats
+    sd_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def at(self, stamps_s: Any, *, max_gap_s: float = 1.0) -> Floats:
+        """Poses `(m, 3)` at the stamps `(m,)`, linear between neighbours (yaw along the short way).
+
+        NaN before the first and after the last pose and inside gaps longer than `max_gap_s`.
+        """
+        stamps = np.atleast_1d(np.asarray(stamps_s, dtype=np.float64))
+        result = np.full((len(stamps), 3), np.nan)
+        if not len(self):
+            return result
+        inside, low, high, share = self._bracket(stamps, max_gap_s)
+        start, end = self.poses[low], self.poses[high]
+        step = end - start
+        step[:, 2] = wrap_angle(step[:, 2])
+        poses = start + share[:, None] * step
+        poses[:, 2] = wrap_angle(poses[:, 2])
+        result[inside] = poses
+        return result
+
+    def sd_at(self, stamps_s: Any) -> Floats:
+        """Standard deviations `(m,)` at the stamps `(m,)`, of the nearest pose before."""
+        stamps = np.atleast_1d(np.asarray(stamps_s, dtype=np.float64))
+        if not len(self):
+            return np.full(len(stamps), np.nan)
+        low = np.clip(np.searchsorted(self.stamp_s, stamps, side="right") - 1, 0, len(self) - 1)
+        return np.asarray(self.sd_m[low])
+
+    def _bracket(
+        self, stamps: Floats, max_gap_s: float
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64], Floats]:
+        low = np.searchsorted(self.stamp_s, stamps, side="right") - 1
+        within = (low >= 0) & (stamps <= self.stamp_s[-1])
+        low = np.clip(low, 0, len(self) - 1)
+        high = np.minimum(low + 1, len(self) - 1)
+        gap = self.stamp_s[high] - self.stamp_s[low]
+        exact = stamps == self.stamp_s[low]
+        inside = within & (exact | (gap <= max_gap_s))
+        low, high, gap = low[inside], high[inside], gap[inside]
+        share = np.where(
+            gap > 0, (stamps[inside] - self.stamp_s[low]) / np.where(gap > 0, gap, 1), 0
+        )
+        return inside, low, high, share
+
+    def sample(self, row: int) -> ReferencePose:
+        east, north, yaw = (float(value) for value in self.poses[row])
+        return ReferencePose(
+            float(self.stamp_s[row]), Pose2D(east, north, yaw), float(self.sd_m[row])
+        )
+
+    def rows(self, rows: Rows) -> ReferenceStream:
+        return ReferenceStream(self.stamp_s[rows], self.poses[rows], self.sd_m[rows])

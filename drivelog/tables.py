@@ -1,0 +1,168 @@
+"""CSV files with a header, read into columns; what is wrong is named by file, line and value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from drivelog.errors import InputError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns of one CSV file.
+
+    Attributes:
+        columns: numbers, `(n,)` each.
+        texts: text columns, `(n,)` each.
+        lines: `(n,)` line of the file that each row stands on.
+        dropped: rows that were left out, by kind.
+    """
+
+    path: Path
+    columns: Mapping[str, Floats]
+    texts: Mapping[str, NDArray[np.object_]]
+    lines: NDArray[np.int64]
+    dropped: Mapping[str, int]
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.columns[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def keep(self, rows: NDArray[np.bool_], reason: str) -> Table:
+        """Only some rows; the others are counted under `reason`."""
+        lost = int(np.count_nonzero(~rows))
+        if not lost:
+            return self
+        return Table(
+            self.path,
+            {name: values[rows] for name, values in self.columns.items()},
+            {name: values[rows] for name, values in self.texts.items()},
+            self.lines[rows],
+            {**self.dropped, reason: self.dropped.get(reason, 0) + lost},
+        )
+
+
+def read_table(
+    path: Path,
+    required: Sequence[str],
+    *,
+    optional: Sequence[str] = (),
+    texts: Sequence[str] = (),
+    drop_not_finite: bool = True,
+) -> Table:
+    """Read a CSV file with a header, UTF-8; unknown columns are left aside.
+
+    Args:
+        path: the file.
+        required: number columns that must be there.
+        optional: number columns that may be there; an empty cell is NaN.
+        texts: text columns that must be there.
+        drop_not_finite: leave rows out (and count them) in which a required number is missing or
+            not finite; otherwise such a row is an error.
+
+    Raises:
+        InputError: an unreadable file, a missing column, a cell that is no number.
+    """
+    raw = _read_text(path)
+    for name in (*required, *texts):
+        if name not in raw.columns:
+            found = ", ".join(str(c) for c in raw.columns)
+            raise InputError(f"{path}: column '{name}' is missing (found: {found})")
+    lines = np.arange(len(raw), dtype=np.int64) + 2
+    filled = (raw != "").any(axis=1).to_numpy() if len(raw) else np.zeros(0, dtype=bool)
+    raw, lines = raw[filled], lines[filled]
+    present = [*required, *(name for name in optional if name in raw.columns)]
+    table = Table(
+        path,
+        {name: _numbers(raw[name].to_numpy(dtype=object), path, name, lines) for name in present},
+        {name: raw[name].to_numpy(dtype=object) for name in texts},
+        lines,
+        {},
+    )
+    finite = np.ones(len(table), dtype=bool)
+    for name in required:
+        finite &= np.isfinite(table[name])
+    if not drop_not_finite and not finite.all():
+        row = int(np.flatnonzero(~finite)[0])
+        name = next(name for name in required if not np.isfinite(table[name][row]))
+        raise InputError(f"{path}, line {lines[row]}: {name} is {table[name][row]}, not a number")
+    return table.keep(finite, "not_finite")
+
+
+def _read_text(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(
+            path, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig",
+            skipinitialspace=True, na_filter=False, index_col=False,
+        )  # fmt: skip
+    except pd.errors.EmptyDataError as error:
+        raise InputError(f"{path}: empty file, a header line is needed") from error
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        detail = str(error).strip().splitlines()[-1]
+        raise InputError(f"{path}: not a UTF-8 CSV file ({detail})") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _numbers(cells: NDArray[np.object_], path: Path, name: str, lines: NDArray[np.int64]) -> Floats:
+    try:
+        return np.asarray(cells, dtype=np.float64)
+    except (TypeError, ValueError):
+        pass
+    values = np.full(len(cells), np.nan)
+    for row, cell in enumerate(cells):
+        text = "" if cell is None or cell != cell else str(cell).strip()
+        if text == "":
+            continue
+        try:
+            values[row] = float(text)
+        except ValueError:
+            raise InputError(
+                f"{path}, line {lines[row]}: {name} is '{text[:40]}', not a number"
+            ) from None
+    return values
+
+
+def sorted_by_stamp(table: Table, *, duplicates: str) -> Table:
+    """Check that `stamp_s` rises.
+
+    Args:
+        table: with the column `stamp_s`.
+        duplicates: `error`, `drop` (the first row of a stamp stays, the rest are counted) or
+            `allow` (several rows a stamp are meant).
+
+    Raises:
+        InputError: a stamp that is smaller than the one before, or equal where that is an error.
+    """
+    stamps = table["stamp_s"]
+    step = np.diff(stamps)
+    back = np.flatnonzero(step < 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise InputError(
+            f"{table.path}, line {table.lines[row]}: stamp_s {stamps[row]:.6f} after "
+            f"{stamps[row - 1]:.6f}; sort the rows by stamp_s"
+        )
+    equal = np.flatnonzero(step == 0)
+    if not len(equal) or duplicates == "allow":
+        return table
+    if duplicates == "error":
+        row = int(equal[0]) + 1
+        raise InputError(
+            f"{table.path}, line {table.lines[row]}: stamp_s {stamps[row]:.6f} stands twice; "
+            "keep one row a stamp"
+        )
+    return table.keep(np.concatenate([[True], step > 0]), "duplicate_stamps")
