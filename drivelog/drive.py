@@ -225,7 +225,8 @@ class Reader(Protocol):
 
 def readers() -> list[Reader]:
     """Every installed reader, sorted by name."""
-    found = [point.load() for point in entry_points(group="polemap.readers")]
+    points = {point.name: point for point in entry_points(group="polemap.readers")}
+    found = [point.load() for point in points.values()]
     return sorted(found, key=lambda reader: str(reader.name))
 
 

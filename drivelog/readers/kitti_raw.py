@@ -1,0 +1,195 @@
+"""A KITTI raw drive (synchronised and rectified), calibration in the folder of its day.
+
+Numbers of files are kept: line i of a timestamps file belongs to file i, and where files are
+missing there is a gap. OXTS gives speed, yaw rate, GNSS and the reference, all moved from the
+unit to the rear axle; the reference is in the UTM zone of the first fix, its heading turned by the
+meridian convergence.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.drive import Drive
+from drivelog.frames import EarthFrame, grid_from_geographic, grid_yaw, utm_frame
+from drivelog.images import ImagePairs, read_grey
+from drivelog.readers.kitti import (
+    CAMERA_ABOVE_M,
+    CAMERA_AHEAD_M,
+    OXTS_BEHIND_M,
+    WHEELBASE_M,
+    entry,
+    mounting,
+    read_calibration,
+    read_text,
+    rig_of,
+    rigid,
+)
+from drivelog.readers.kitti_clock import gap_note, read_timestamps
+from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+
+_PAIRS = (("00", "01"), ("02", "03"))  # grey, else colour
+_LATITUDE, _LONGITUDE, _YAW, _FORWARD_MPS, _UP_RADPS, _ACCURACY_M = 0, 1, 5, 8, 22, 23
+_FIELDS = 30
+
+
+class KittiRawReader:
+    """Reads `DATE/DATE_drive_NNNN_sync`."""
+
+    name = "kitti_raw"
+
+    def can_read(self, path: Path) -> bool:
+        return (
+            any((path / f"image_{left}" / "timestamps.txt").is_file() for left, _ in _PAIRS)
+            or (path / "oxts" / "timestamps.txt").is_file()
+        )
+
+    def read(self, path: Path, *, seed: int = 0) -> Drive:
+        """The drive; everything in it was measured, so that `seed` changes nothing.
+
+        Raises:
+            InputError: a file that is missing or holds something else than it should.
+        """
+        path = path.resolve()
+        problems: Counter[str] = Counter()
+        notes: list[str] = []
+        lidar_from_oxts, camera_from_lidar = _lever_arms(path.parent)
+        oxts_from_camera: Floats = np.linalg.inv(camera_from_lidar @ lidar_from_oxts).astype(float)
+        antenna = np.array([-OXTS_BEHIND_M, -oxts_from_camera[1, 3]])
+        numbers, stamps, images, rig = _frames(path, oxts_from_camera, notes, problems)
+        frame, odometry, gnss, reference = _oxts(path, antenna, notes, problems)
+        return Drive(
+            name=path.name,
+            path=path,
+            frame=frame,
+            wheelbase_m=WHEELBASE_M,
+            rig=rig,
+            gnss_antenna_m=antenna,
+            frame_stamps_s=stamps,
+            frame_arrivals_s=stamps,
+            frame_numbers=numbers,
+            images=images,
+            odometry=odometry,
+            gnss=gnss,
+            reference=reference,
+            notes=tuple(notes),
+            problems=dict(problems),
+        )
+
+
+def _lever_arms(day: Path) -> tuple[Floats, Floats]:
+    """LiDAR from OXTS and rectified left grey camera from LiDAR, `(4, 4)` each."""
+    motions = []
+    for name in ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt"):
+        file = day / name
+        calibration = read_calibration(file)
+        motions.append(
+            rigid(entry(calibration, "R", (3, 3), file), entry(calibration, "T", (3,), file))
+        )
+    file = day / "calib_cam_to_cam.txt"
+    rectify = entry(read_calibration(file), "R_rect_00", (3, 3), file)
+    return motions[0], rigid(rectify, np.zeros(3)) @ motions[1]
+
+
+def _frames(
+    path: Path, oxts_from_camera: Floats, notes: list[str], problems: Counter[str]
+) -> tuple[NDArray[np.int64], Floats, ImagePairs | None, StereoRig | None]:
+    for left, right in _PAIRS:
+        folders = (path / f"image_{left}", path / f"image_{right}")
+        names = [{file.stem for file in (folder / "data").glob("*.png")} for folder in folders]
+        if all(names):
+            break
+    else:
+        notes.append("the drive has no stereo images")
+        return np.empty(0, dtype=np.int64), np.empty(0), None, None
+    times = read_timestamps(folders[0] / "timestamps.txt", problems)
+    if one_sided := names[0] ^ names[1]:
+        problems["frames_one_side_missing"] += len(one_sided)
+    both = sorted(int(name) for name in names[0] & names[1] if name.isdigit())
+    known = [number for number in both if number in times]
+    if len(known) < len(both):
+        problems["frames_without_time"] += len(both) - len(known)
+    if note := gap_note("frames", known, max(times, default=-1) + 1):
+        notes.append(note)
+    numbers = np.array(known, dtype=np.int64)
+    stamps = np.array([times[number] for number in known])
+    pairs = tuple(
+        tuple(folder / "data" / f"{number:010d}.png" for folder in folders) for number in known
+    )
+    rig = _rig(path.parent, (left, right), pairs[0][0], oxts_from_camera) if pairs else None
+    images = ImagePairs(tuple((a, b) for a, b in pairs), rig) if rig else None
+    return numbers, stamps, images, rig
+
+
+def _rig(day: Path, pair: tuple[str, str], image: Path, oxts_from_camera: Floats) -> StereoRig:
+    """The rig of a pair; its axes relative to the car are those relative to the OXTS unit."""
+    file = day / "calib_cam_to_cam.txt"
+    calibration = read_calibration(file)
+    left, right = (entry(calibration, f"P_rect_{name}", (3, 4), file) for name in pair)
+    rotation = oxts_from_camera[:3, :3]
+    # P = K [I | t]: the camera of a pair stands at -t in the frame of camera 00
+    shift = -np.linalg.inv(left[:, :3]) @ left[:, 3]
+    position = np.array([CAMERA_AHEAD_M, 0.0, CAMERA_ABOVE_M]) + rotation @ shift
+    first = read_grey(image)
+    size = (first.shape[1], first.shape[0])
+    return rig_of(left, right, size, mounting(rotation, position), file)
+
+
+def _oxts(
+    path: Path, antenna: Floats, notes: list[str], problems: Counter[str]
+) -> tuple[EarthFrame, OdometryStream | None, GnssStream | None, ReferenceStream | None]:
+    folder = path / "oxts"
+    numbers, rows = _oxts_rows(folder, problems)
+    times = read_timestamps(folder / "timestamps.txt", problems) if numbers else {}
+    known = [i for i, number in enumerate(numbers) if number in times]
+    if not known:
+        notes.append("the drive has no OXTS data: no odometry, GNSS or reference")
+        return EarthFrame("local", name=path.name), None, None, None
+    if note := gap_note("OXTS rows", [numbers[i] for i in known], max(times) + 1):
+        notes.append(note)
+    notes.append(
+        "GNSS is the position of the OXTS unit, as good as the reference: a cheap receiver's fixes "
+        "are not part of the recording"
+    )
+    data = rows[known]
+    stamps = np.array([times[numbers[i]] for i in known])
+    frame = utm_frame(float(data[0, _LATITUDE]), float(data[0, _LONGITUDE]))
+    fixes = grid_from_geographic(frame, data[:, _LATITUDE], data[:, _LONGITUDE])
+    yaw = grid_yaw(frame, data[:, _YAW], fixes)
+    c, s = np.cos(yaw), np.sin(yaw)
+    east = fixes[:, 0] - (c * antenna[0] - s * antenna[1])
+    north = fixes[:, 1] - (s * antenna[0] + c * antenna[1])
+    # v_axle = v_unit + w x (axle - unit); forward part: -w * (-antenna_y)
+    speed = data[:, _FORWARD_MPS] + data[:, _UP_RADPS] * antenna[1]
+    return (
+        frame,
+        OdometryStream(stamps, stamps, speed, data[:, _UP_RADPS]),
+        GnssStream(stamps, stamps, fixes[:, 0], fixes[:, 1], np.ones(len(stamps))),
+        ReferenceStream(stamps, np.column_stack([east, north, yaw]), data[:, _ACCURACY_M]),
+    )
+
+
+def _oxts_rows(folder: Path, problems: Counter[str]) -> tuple[list[int], Floats]:
+    numbers, rows = [], []
+    for file in sorted((folder / "data").glob("*.txt")):
+        try:
+            values = [float(word) for word in read_text(file).split()]
+        except ValueError:
+            values = []
+        usable = len(values) >= _FIELDS - 5 and bool(np.isfinite(values[:25]).all())
+        if not file.stem.isdigit() or not usable or abs(values[_LATITUDE]) > 90:
+            problems["oxts_unusable_rows"] += 1
+            continue
+        numbers.append(int(file.stem))
+        rows.append(values[:25])
+    return numbers, np.array(rows, dtype=np.float64).reshape(-1, 25)
+
+
+reader = KittiRawReader()
