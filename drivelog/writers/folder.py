@@ -1,0 +1,239 @@
+"""Writes the plain drive folder of CONTRACT.md: drive.yaml, CSV files, PNGs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from drivelog.atomic import atomic_folder
+from drivelog.drive import Drive, Lap
+from drivelog.errors import InputError
+from drivelog.frames import EarthFrame, geographic_from_grid
+from drivelog.samples import Image, PoleScan, VisibleRegion
+from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+
+
+class FolderWriter:
+    """Fills a drive folder piece by piece; made by `folder_writer`."""
+
+    def __init__(self, folder: Path, frame: EarthFrame) -> None:
+        self._folder = folder
+        self._frame = frame
+        self._frames: list[tuple[float, str, str, float]] = []
+
+    def frame(self, stamp_s: float, arrival_s: float, left: Image, right: Image) -> None:
+        """Append a stereo pair; stamps must rise.
+
+        Raises:
+            InputError: a stamp that does not follow the one before, or images that cannot be
+                encoded.
+        """
+        if self._frames and stamp_s <= self._frames[-1][0]:
+            raise InputError(f"frame at {stamp_s:.6f} s does not follow {self._frames[-1][0]:.6f}")
+        names = []
+        for side, image in (("left", left), ("right", right)):
+            name = f"{side}/{len(self._frames):06d}.png"
+            target = self._folder / name
+            target.parent.mkdir(exist_ok=True)
+            done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            if not done:
+                raise InputError(f"{name}: image {image.shape} {image.dtype} cannot be encoded")
+            target.write_bytes(data.tobytes())
+            names.append(name)
+        self._frames.append((stamp_s, names[0], names[1], arrival_s))
+
+    def odometry(self, stream: OdometryStream) -> None:
+        """Write odometry.csv."""
+        self._table(
+            "odometry",
+            {
+                "stamp_s": (stream.stamp_s, "%.6f"),
+                "speed_mps": (stream.speed_mps, "%.6f"),
+                "yaw_rate_radps": (stream.yaw_rate_radps, "%.8f"),
+                "arrival_s": (stream.arrival_s, "%.6f"),
+            },
+        )
+
+    def gnss(self, stream: GnssStream) -> None:
+        """Write gnss.csv, in degrees for a UTM frame."""
+        points = np.stack([stream.east_m, stream.north_m], axis=1)
+        if self._frame.is_utm:
+            place = geographic_from_grid(self._frame, points)
+            where = {
+                "latitude_deg": (place[:, 0], "%.10f"),
+                "longitude_deg": (place[:, 1], "%.10f"),
+            }
+        else:
+            where = {"east_m": (points[:, 0], "%.4f"), "north_m": (points[:, 1], "%.4f")}
+        self._table(
+            "gnss",
+            {
+                "stamp_s": (stream.stamp_s, "%.6f"),
+                **where,
+                "hdop": (stream.hdop, "%.2f"),
+                "arrival_s": (stream.arrival_s, "%.6f"),
+            },
+        )
+
+    def reference(self, stream: ReferenceStream) -> None:
+        """Write reference.csv."""
+        self._table(
+            "reference",
+            {
+                "stamp_s": (stream.stamp_s, "%.6f"),
+                "east_m": (stream.poses[:, 0], "%.5f"),
+                "north_m": (stream.poses[:, 1], "%.5f"),
+                "yaw_rad": (stream.poses[:, 2], "%.7f"),
+                "sd_m": (stream.sd_m, "%.4f"),
+            },
+        )
+
+    def scans(self, scans: Sequence[PoleScan]) -> None:
+        """Write poles.csv and scans.csv."""
+        counts = [len(scan) for scan in scans]
+        points = _join([scan.points_vehicle_m for scan in scans], (0, 2))
+        covariance = _join([scan.covariance_m2 for scan in scans], (0, 2, 2))
+        self._table("scans", {"stamp_s": (np.array([scan.stamp_s for scan in scans]), "%.6f")})
+        self._table(
+            "poles",
+            {
+                "stamp_s": (np.repeat([scan.stamp_s for scan in scans], counts), "%.6f"),
+                "x_m": (points[:, 0], "%.5f"),
+                "y_m": (points[:, 1], "%.5f"),
+                "var_x_m2": (covariance[:, 0, 0], "%.9g"),
+                "var_y_m2": (covariance[:, 1, 1], "%.9g"),
+                "cov_xy_m2": (covariance[:, 0, 1], "%.9g"),
+                "width_m": (_join([scan.width_m for scan in scans], (0,)), "%.4f"),
+                "arrival_s": (np.repeat([scan.arrival_s for scan in scans], counts), "%.6f"),
+                "probability": (_join([scan.existence for scan in scans], (0,)), "%.4f"),
+            },
+        )
+
+    def laps(self, laps: Iterable[Lap]) -> None:
+        """Write laps.csv."""
+        lines = ["lap,start_s,end_s"]
+        for lap in laps:
+            if any(character in lap.name for character in ',"\n\r'):
+                raise InputError(f"lap name '{lap.name}' may not hold commas, quotes or line ends")
+            lines.append(f"{lap.name},{lap.start_s:.6f},{lap.end_s:.6f}")
+        (self._folder / "laps.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+    def finish(self) -> None:
+        """Write what needs all frames."""
+        if self._frames:
+            lines = [f"{s:.6f},{left},{right},{a:.6f}" for s, left, right, a in self._frames]
+            text = "\n".join(["stamp_s,left,right,arrival_s", *lines]) + "\n"
+            (self._folder / "frames.csv").write_text(text, encoding="utf-8")
+
+    def _table(self, name: str, columns: Mapping[str, tuple[Floats, str]]) -> None:
+        header = ",".join(columns)
+        data = np.column_stack([values for values, _ in columns.values()])
+        formats = [fmt for _, fmt in columns.values()]
+        np.savetxt(
+            self._folder / f"{name}.csv",
+            data,
+            fmt=formats,
+            delimiter=",",
+            header=header,
+            comments="",
+        )
+
+
+def _join(parts: list[Floats], empty_shape: tuple[int, ...]) -> Floats:
+    return np.concatenate(parts) if parts else np.empty(empty_shape)
+
+
+@contextmanager
+def folder_writer(
+    path: Path,
+    *,
+    name: str,
+    frame: EarthFrame,
+    wheelbase_m: float,
+    rig: StereoRig | None = None,
+    gnss_antenna_m: Floats | None = None,
+    pole_view: VisibleRegion | None = None,
+    notes: Sequence[str] = (),
+) -> Iterator[FolderWriter]:
+    """A writer whose folder appears under `path` when the block ends well.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    head: dict[str, Any] = {
+        "format_version": 1,
+        "name": name,
+        "frame": frame.to_dict(),
+        "vehicle": {"wheelbase_m": float(wheelbase_m)},
+    }
+    if rig is not None:
+        mount = rig.vehicle_from_camera
+        head["camera"] = {
+            key: getattr(rig, key)
+            for key in ("width_px", "height_px", "focal_px", "cx_px", "cy_px", "baseline_m")
+        }
+        head["camera"]["vehicle_from_camera"] = {
+            key: getattr(mount, key)
+            for key in ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+        }
+    if gnss_antenna_m is not None and np.any(gnss_antenna_m):
+        head["gnss_antenna"] = {"x_m": float(gnss_antenna_m[0]), "y_m": float(gnss_antenna_m[1])}
+    if pole_view is not None:
+        head["pole_detector"] = {
+            "x_m": float(pole_view.origin_vehicle_m[0]),
+            "y_m": float(pole_view.origin_vehicle_m[1]),
+            "bearing_min_rad": float(pole_view.bearing_min_rad),
+            "bearing_max_rad": float(pole_view.bearing_max_rad),
+            "range_min_m": float(pole_view.range_min_m),
+            "range_max_m": float(np.max(pole_view.free_range_m)),
+        }
+    if notes:
+        head["notes"] = list(notes)
+    with atomic_folder(Path(path)) as folder:
+        text = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
+        (folder / "drive.yaml").write_text(text, encoding="utf-8")
+        writer = FolderWriter(folder, frame)
+        yield writer
+        writer.finish()
+
+
+def write_drive(drive: Drive, path: Path) -> None:
+    """Write any drive as a plain drive folder, images included.
+
+    Raises:
+        InputError: the place cannot be written to, or an image cannot be read.
+    """
+    with folder_writer(
+        path,
+        name=drive.name,
+        frame=drive.frame,
+        wheelbase_m=drive.wheelbase_m,
+        rig=drive.rig,
+        gnss_antenna_m=drive.gnss_antenna_m,
+        pole_view=drive.scans[0].view if drive.scans else None,
+        notes=drive.notes,
+    ) as writer:
+        if drive.has_frames:
+            for row in range(len(drive.frame_stamps_s)):
+                frame = drive.read_frame(row)
+                writer.frame(frame.stamp_s, frame.arrival_s, frame.left, frame.right)
+        if drive.odometry is not None:
+            writer.odometry(drive.odometry)
+        if drive.gnss is not None:
+            writer.gnss(drive.gnss)
+        if drive.reference is not None:
+            writer.reference(drive.reference)
+        if drive.scans:
+            writer.scans(drive.scans)
+        if drive.laps:
+            writer.laps(drive.laps)
