@@ -1,0 +1,41 @@
+"""The tyre of the plant: a brush tyre under combined slip, with a friction circle."""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+
+
+def brush_force(
+    slip_x: float, slip_y: float, stiffness_x_n: float, stiffness_y_n: float, limit_n: float
+) -> tuple[float, float]:
+    """Longitudinal and lateral force of one tyre.
+
+    Args:
+        slip_x: theoretical longitudinal slip (r omega - v_x) / |r omega|, positive when driving.
+        slip_y: theoretical lateral slip v_y / |r omega|, positive when the tyre slides left.
+        stiffness_x_n: longitudinal slip stiffness.
+        stiffness_y_n: cornering stiffness per radian.
+        limit_n: friction times load.
+
+    Returns:
+        Force forward and force to the left; their length never exceeds `limit_n`.
+
+    Source: combined-slip brush model with parabolic pressure (Pacejka, Tyre and Vehicle Dynamics,
+    3rd ed., ch. 3): F = g - g^2 / (3 L) + g^3 / (27 L^2) up to full sliding at g = 3 L.
+    """
+    demand_x, demand_y = stiffness_x_n * slip_x, stiffness_y_n * slip_y
+    demand = sqrt(demand_x * demand_x + demand_y * demand_y)
+    if demand <= 0.0 or limit_n <= 0.0:
+        return 0.0, 0.0
+    if demand >= 3.0 * limit_n:
+        force = limit_n
+    else:
+        force = demand - demand**2 / (3.0 * limit_n) + demand**3 / (27.0 * limit_n**2)
+    share = force / demand
+    return share * demand_x, -share * demand_y
+
+
+def wheel_frame(velocity_x: float, velocity_y: float, steer_rad: float) -> tuple[float, float]:
+    """A velocity at the wheel's hub in body axes, turned into the axes of the steered wheel."""
+    c, s = cos(steer_rad), sin(steer_rad)
+    return c * velocity_x + s * velocity_y, c * velocity_y - s * velocity_x
