@@ -1,0 +1,191 @@
+"""Pole maps on the disk: GeoPackage, GeoJSON, GeoParquet; CSV and public inventories on reading.
+
+The file's ending chooses the format. The frame is stored in every one of ours; `docs/maps.md` has
+the columns.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pyogrio
+import shapely
+
+from drivelog.atomic import atomic_file
+from drivelog.errors import FrameError, InputError
+from drivelog.frames import EarthFrame
+from drivelog.tables import read_table
+from polemap.formats import geojson, geoparquet
+from polemap.formats.columns import KNOWN, from_columns, to_columns
+from polemap.landmark_map import PoleMap
+
+LAYER = "poles"
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a name for a map that no format has, before the work begins.
+
+    Raises:
+        InputError: the ending is none of ours.
+    """
+    if Path(path).suffix.lower() not in _WRITERS:
+        known = ", ".join(sorted(_WRITERS))
+        raise InputError(f"{path}: a map is written as one of {known}; choose such an ending")
+
+
+def write_map(pole_map: PoleMap, path: Path) -> None:
+    """Write a map; the ending chooses the format.
+
+    Raises:
+        InputError: an ending that is not known, or a place that cannot be written to.
+    """
+    path = Path(path)
+    check_writable(path)
+    with atomic_file(path) as part:
+        _WRITERS[path.suffix.lower()](pole_map, part)
+
+
+def read_map(path: Path, frame: EarthFrame | None = None, *, allow_empty: bool = False) -> PoleMap:
+    """Read a map, in the frame that is asked for.
+
+    Args:
+        path: the file.
+        frame: the drive's frame. A CSV has none of its own and takes this one (with a note); a map
+            in another UTM zone is transformed into it (with a note).
+        allow_empty: accept a map without poles.
+
+    Raises:
+        InputError: unreadable, a column missing, a value out of range, no poles.
+        FrameError: the map's frame is not the drive's, and no transformation leads there.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such map")
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        known = ", ".join(sorted(_READERS))
+        raise InputError(f"{path}: a map ends in one of {known}")
+    try:
+        pole_map = _READERS[suffix](path, frame)
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
+    if not len(pole_map) and not allow_empty:
+        raise InputError(f"{path}: the map holds no poles; build it from a drive that saw some")
+    if frame is None or pole_map.frame == frame:
+        return pole_map
+    if not (frame.is_utm and pole_map.frame.is_utm):
+        raise FrameError(
+            f"{path}: the map is in {pole_map.frame}, the drive in {frame}; no transformation "
+            "leads from one to the other: use a map built in the drive's own frame"
+        )
+    return pole_map.to_frame(frame)
+
+
+def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
+    frame = pole_map.frame
+    points = shapely.points(pole_map.points_m)
+    table = geopandas.GeoDataFrame(
+        to_columns(pole_map), geometry=points, crs=frame.epsg if frame.is_utm else None
+    )
+    metadata = {"polemap": json.dumps({"format_version": 1, "frame": frame.to_dict()})}
+    with warnings.catch_warnings():
+        # a local frame has no reference system that other programs know; the metadata name it
+        warnings.filterwarnings("ignore", message="'crs' was not provided")
+        pyogrio.write_dataframe(
+            table, path, layer=LAYER, driver="GPKG", geometry_type="Point", layer_metadata=metadata
+        )
+
+
+def _read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
+    try:
+        layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+        layer = LAYER if LAYER in layers else layers[0]
+        ours = (pyogrio.read_info(path, layer=layer).get("layer_metadata") or {}).get("polemap")
+        table = pyogrio.read_dataframe(path, layer=layer)
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, IndexError) as error:
+        raise InputError(f"{path}: not a GeoPackage with a layer of points ({error})") from error
+    if not isinstance(table, geopandas.GeoDataFrame) or (table.geom_type != "Point").any():
+        raise InputError(f"{path}: layer '{layer}' does not hold points only")
+    own = EarthFrame.from_dict(json.loads(ours)["frame"]) if ours else None
+    if own is None and table.crs is not None:
+        if table.crs.is_geographic and len(table):
+            table = table.to_crs(frame.epsg if frame and frame.epsg else table.estimate_utm_crs())
+        own = EarthFrame("utm", table.crs.to_epsg())
+    own = own or frame
+    if own is None:
+        raise InputError(f"{path}: it names no reference system and no frame")
+    columns: dict[str, Any] = {}
+    extra: dict[str, Any] = {}
+    for name in table.columns:
+        if name == table.geometry.name:
+            continue
+        values = table[name].to_numpy()
+        if values.dtype.kind not in "iuf":
+            if name in KNOWN:
+                raise InputError(f"{path}: column {name} does not hold numbers")
+            values = values.astype(np.str_)
+        (columns if name in KNOWN else extra)[str(name)] = values
+    return from_columns(own, shapely.get_coordinates(table.geometry), columns, extra=extra)
+
+
+def _write_geojson(pole_map: PoleMap, path: Path) -> None:
+    document = geojson.to_document(pole_map)
+    path.write_text(json.dumps(document, allow_nan=False, separators=(",", ":")), encoding="utf-8")
+
+
+def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: not JSON ({str(error)[:80]})") from error
+    return geojson.from_document(document, frame)
+
+
+def _write_parquet(pole_map: PoleMap, path: Path) -> None:
+    pyarrow.parquet.write_table(geoparquet.to_table(pole_map), path, compression="zstd")
+
+
+def _read_parquet(path: Path, frame: EarthFrame | None) -> PoleMap:
+    try:
+        table = pyarrow.parquet.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        detail = str(error).splitlines()[0][:100]
+        raise InputError(f"{path}: not a Parquet file ({detail})") from error
+    return geoparquet.from_table(table, frame)
+
+
+def _read_csv(path: Path, frame: EarthFrame | None) -> PoleMap:
+    """`east_m,north_m[,…]`; also `x_m,y_m`, as maps labelled in a local LiDAR frame have."""
+    if frame is None:
+        raise InputError(f"{path}: a CSV map carries no frame; give the drive that it belongs to")
+    names = ("east_m", "north_m")
+    optional = (*KNOWN, "diameter_m")
+    header = read_table(path, (), optional=("x_m", "y_m", *names))
+    if not frame.is_utm and "x_m" in header and "east_m" not in header:
+        names = ("x_m", "y_m")
+    table = read_table(path, names, optional=optional, drop_not_finite=False)
+    columns = {name: table[name] for name in KNOWN if name in table}
+    if "width_m" not in columns and "diameter_m" in table:
+        columns["width_m"] = table["diameter_m"]
+    points = np.stack([table[name] for name in names], axis=1)
+    note = f"{path.name} carries no frame: it is taken to be in {frame}, the drive's"
+    return from_columns(frame, points, columns, notes=(note,))
+
+
+_READERS = {
+    ".gpkg": _read_geopackage,
+    ".geojson": _read_geojson,
+    ".json": _read_geojson,
+    ".parquet": _read_parquet,
+    ".csv": _read_csv,
+}
+_WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
