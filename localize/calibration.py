@@ -1,0 +1,205 @@
+"""Learning what the odometry gets wrong systematically: offsets and scales.
+
+At standstill the yaw rate must be zero, so its mean is the gyroscope's offset. While driving, the
+filter's own poses, which the poles hold, tell the turn and the way of a stretch; what the odometry
+says differently over many stretches is an offset (of the gyroscope, or of the steering: a
+curvature) or a scale.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.samples import OdometrySample
+from localize.config import LocalizeConfig
+from vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+
+_STRETCH_M = 8.0
+_STRETCH_LONGEST_S = 8.0
+_STRETCH_TURN_RAD = 0.8
+_YAW_SPREAD_RADPS = 0.02
+_GYRO_WHITE_RADPS = 0.005
+_WALK_PER_S = 1e-7  # share of the prior variances that returns every second: offsets may drift
+
+
+@dataclass(slots=True)
+class _Stretch:
+    """What raw odometry adds up to since a pose of the filter."""
+
+    stamp_s: float
+    pose: Floats
+    variance_m2: float
+    variance_rad2: float
+    time_s: float = 0.0
+    distance_m: float = 0.0
+    turn_rad: float = 0.0
+    chord_x_m: float = 0.0
+    chord_y_m: float = 0.0
+
+
+class OdometryCalibration:
+    """Two small Kalman filters: (offset, curvature, scale) of the yaw rate, scale of the speed.
+
+    corrected yaw rate = (1 + g) measured - b + c v, corrected speed = (1 + s) measured.
+    """
+
+    def __init__(self, config: LocalizeConfig) -> None:
+        self._config = config
+        self._yaw = np.zeros(3)
+        self._yaw_prior = np.diag(
+            np.array(
+                [
+                    config.yaw_rate_offset_sd_radps,
+                    config.curvature_offset_sd_radpm,
+                    config.yaw_rate_scale_sd,
+                ]
+            )
+            ** 2
+        )
+        self._yaw_cov = self._yaw_prior.copy()
+        self._scale: float = 0.0
+        self._scale_var = config.speed_scale_sd**2
+        self._still: deque[OdometrySample] = deque()
+        self._last_stamp_s: float | None = None
+        self._stretch: _Stretch | None = None
+
+    @property
+    def yaw_rate_offset_radps(self) -> float:
+        """Offset b that is taken off the measured yaw rate."""
+        return float(self._yaw[0])
+
+    @property
+    def curvature_offset_radpm(self) -> float:
+        """Curvature c that is added: what a steering offset does."""
+        return float(self._yaw[1])
+
+    @property
+    def speed_scale(self) -> float:
+        """Relative correction s of the speed."""
+        return float(self._scale)
+
+    def correct(self, sample: OdometrySample) -> OdometrySample:
+        """The sample without what has been learned; also feeds the standstill detector."""
+        if not self._config.learn_offsets:
+            return sample
+        self._watch_standstill(sample)
+        offset, curvature, scale = self._yaw
+        speed: float = (1.0 + self._scale) * sample.speed_mps
+        yaw_rate: float = (
+            (1.0 + scale) * sample.yaw_rate_radps - offset + curvature * sample.speed_mps
+        )
+        if self._standing():
+            # no turn without motion; what is left of the offset must not turn a standing car
+            speed = yaw_rate = 0.0
+        self._extend_stretch(sample)
+        return OdometrySample(sample.stamp_s, sample.arrival_s, float(speed), float(yaw_rate))
+
+    def _watch_standstill(self, sample: OdometrySample) -> None:
+        """Keep the unbroken run of samples without speed, at most one window long."""
+        config = self._config
+        if abs(sample.speed_mps) > config.standstill_speed_mps:
+            self._still.clear()
+            return
+        self._still.append(sample)
+        span = sample.stamp_s - self._still[0].stamp_s
+        if span < 2.0 * config.standstill_s:
+            return
+        # the first half may still hold the nodding of the stop: the second half counts, once
+        half = self._still[0].stamp_s + config.standstill_s
+        rates = np.array([s.yaw_rate_radps for s in self._still if s.stamp_s > half])
+        self._still.clear()
+        self._still.append(sample)
+        spread = float(np.median(np.abs(rates - np.median(rates))))
+        if spread > _YAW_SPREAD_RADPS or abs(np.median(rates)) > 5 * self._offset_limit():
+            return  # it turns without wheels: a ferry, a turntable, a broken speed signal
+        noise = _GYRO_WHITE_RADPS**2 / len(rates)
+        self._update_yaw(np.array([1.0, 0.0, 0.0]), float(rates.mean()), noise)
+
+    def _offset_limit(self) -> float:
+        return max(self._config.yaw_rate_offset_sd_radps, 1e-3)
+
+    def _standing(self) -> bool:
+        still = self._still
+        return len(still) > 1 and still[-1].stamp_s - still[0].stamp_s >= 0.5
+
+    def _update_yaw(self, row: Floats, value: float, variance: float) -> None:
+        gain = self._yaw_cov @ row / (row @ self._yaw_cov @ row + variance)
+        self._yaw = self._yaw + gain * (value - row @ self._yaw)
+        keep = np.eye(3) - np.outer(gain, row)
+        self._yaw_cov = keep @ self._yaw_cov @ keep.T + np.outer(gain, gain) * variance
+
+    def _extend_stretch(self, sample: OdometrySample) -> None:
+        """Add the raw sample to the stretch under way."""
+        last, self._last_stamp_s = self._last_stamp_s, sample.stamp_s
+        stretch = self._stretch
+        if last is None or stretch is None:
+            return
+        dt = sample.stamp_s - max(last, stretch.stamp_s)
+        if dt <= 0.0:
+            return
+        if dt > self._config.odometry_gap_s:
+            self._stretch = None
+            return
+        heading = stretch.turn_rad + 0.5 * sample.yaw_rate_radps * dt
+        stretch.time_s += dt
+        stretch.distance_m += sample.speed_mps * dt
+        stretch.turn_rad += sample.yaw_rate_radps * dt
+        stretch.chord_x_m += sample.speed_mps * dt * np.cos(heading)
+        stretch.chord_y_m += sample.speed_mps * dt * np.sin(heading)
+
+    def learn(self, stamp_s: float, pose: Floats, covariance: Floats, trusted: bool) -> None:
+        """Offer a rear-axle pose of the filter; a stretch ends at it when it is long enough.
+
+        Args:
+            trusted: whether poles hold the pose; a stretch only runs between trusted poses.
+        """
+        if not self._config.learn_offsets:
+            return
+        if not trusted:
+            self._stretch = None
+            return
+        variance_m2 = 0.5 * float(covariance[0, 0] + covariance[1, 1]) + 0.05**2
+        variance_rad2 = float(covariance[2, 2]) + 0.004**2
+        stretch = self._stretch
+        if stretch is not None:
+            # a late scan's pose is older than the odometry that came since; the part beyond it is
+            # shorter than a scan interval, and both ends of the stretch share it
+            long_enough = abs(stretch.distance_m) >= _STRETCH_M
+            if not long_enough and stretch.time_s < _STRETCH_LONGEST_S:
+                return
+            if long_enough:
+                self._use(stretch, pose, variance_m2, variance_rad2)
+        self._stretch = _Stretch(stamp_s, pose.copy(), variance_m2, variance_rad2)
+
+    def _use(self, stretch: _Stretch, pose: Floats, var_m2: float, var_rad2: float) -> None:
+        self._yaw_cov = self._yaw_cov + self._yaw_prior * _WALK_PER_S * stretch.time_s
+        self._scale_var += self._config.speed_scale_sd**2 * _WALK_PER_S * stretch.time_s
+        turned = float(wrap_angle(pose[2] - stretch.pose[2]))
+        error = float(wrap_angle(turned - stretch.turn_rad))
+        row = np.array([-stretch.time_s, stretch.distance_m, stretch.turn_rad])
+        noise = stretch.variance_rad2 + var_rad2 + (0.05 * stretch.turn_rad) ** 2
+        noise += 0.002**2 * stretch.time_s
+        expected = float(row @ self._yaw)
+        spread = float(row @ self._yaw_cov @ row) + noise
+        if (error - expected) ** 2 < 16.0 * spread:
+            self._update_yaw(row, error, noise)
+        if abs(stretch.turn_rad) < _STRETCH_TURN_RAD:
+            self._use_distance(stretch, pose, var_m2)
+
+    def _use_distance(self, stretch: _Stretch, pose: Floats, var_m2: float) -> None:
+        """The length of the chord, which does not depend on the heading."""
+        way = float(np.hypot(*(pose[:2] - stretch.pose[:2])))
+        chord = float(np.hypot(stretch.chord_x_m, stretch.chord_y_m))
+        noise = stretch.variance_m2 + var_m2 + (0.01 * chord) ** 2
+        innovation = way - (1.0 + self._scale) * chord
+        spread = chord**2 * self._scale_var + noise
+        if innovation**2 < 16.0 * spread:
+            gain = self._scale_var * chord / spread
+            self._scale += float(gain * innovation)
+            self._scale_var *= float(1.0 - gain * chord)

@@ -1,0 +1,160 @@
+"""What a scan of poles and a GNSS fix say about every particle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.samples import GnssFix, PoleScan, VisibleRegion
+from localize.config import LocalizeConfig
+from localize.particles import effective_count, normalized
+from polemap.association import (
+    Landmarks,
+    PoleModel,
+    PoseLikelihoods,
+    pole_log_likelihood,
+)
+from polemap.landmark_map import PoleMap
+from vehicle.pose import shift_forward
+
+Floats = NDArray[np.float64]
+
+_CELL_M = 20.0
+
+
+def pole_model(config: LocalizeConfig) -> PoleModel:
+    """The part of the settings that the association needs."""
+    return PoleModel(
+        beta_p=config.beta_p,
+        width_sd_m=config.width_sd_m,
+        clutter_per_m2=config.clutter_per_m2,
+        clutter_width_span_m=config.clutter_width_span_m,
+        position_floor_m=config.position_floor_m,
+    )
+
+
+def default_view(config: LocalizeConfig) -> VisibleRegion:
+    """The sector that is taken for a sensor that does not say where it looked."""
+    return VisibleRegion(
+        origin_vehicle_m=np.zeros(2),
+        bearing_min_rad=-config.view_half_angle_rad,
+        bearing_max_rad=config.view_half_angle_rad,
+        range_min_m=0.0,
+        free_range_m=np.array([config.view_range_m]),
+    )
+
+
+def reach_of(scan: PoleScan, view: VisibleRegion) -> float:
+    """Distance from the rear axle beyond which no map pole can matter to the scan."""
+    reach = float(np.hypot(*view.origin_vehicle_m)) + float(np.max(view.free_range_m))
+    if len(scan):
+        reach = max(reach, float(np.hypot(*scan.points_vehicle_m.T).max()))
+    return reach + 3.0
+
+
+def landmarks_near(
+    pole_map: PoleMap, rear_poses: Floats, reach_m: float, p_detection: float
+) -> Landmarks:
+    """Map poles within reach of any particle; a scattered cloud asks cell by cell."""
+    low, high = rear_poses[:, :2].min(axis=0), rear_poses[:, :2].max(axis=0)
+    half = float(np.hypot(*(high - low))) / 2
+    if half <= _CELL_M:
+        rows = pole_map.within((low + high) / 2, reach_m + half)
+    else:
+        cells = np.unique(np.floor(rear_poses[:, :2] / _CELL_M).astype(np.int64), axis=0)
+        centres = (cells + 0.5) * _CELL_M
+        found = [pole_map.within(centre, reach_m + 0.75 * _CELL_M) for centre in centres]
+        rows = np.unique(np.concatenate(found))
+    return Landmarks.of(pole_map, rows, p_detection)
+
+
+def weigh_scan(
+    rear_poses: Floats,
+    scan: PoleScan,
+    pole_map: PoleMap,
+    config: LocalizeConfig,
+) -> tuple[PoseLikelihoods, Landmarks]:
+    """Likelihood of the scan for every rear-axle pose `(n, 3)`, and the landmarks it was held to.
+
+    Source: Spangenberg (2016), equations (7) and (8).
+    """
+    view = scan.view if scan.view is not None else default_view(config)
+    landmarks = landmarks_near(pole_map, rear_poses, reach_of(scan, view), config.p_detection)
+    model = pole_model(config)
+    result = pole_log_likelihood(
+        rear_poses, scan, landmarks, model, view=view, threads=config.threads
+    )
+    return result, landmarks
+
+
+def independent_share(moved_m: float, elapsed_s: float, config: LocalizeConfig) -> float:
+    """How much of a scan is news since the last one, 0 to 1.
+
+    Errors of tracked stereo poles, and of the map, stay the same from one scan to the next, so n
+    scans are not n measurements. For errors whose correlation falls exponentially with the way (or
+    the time), a long row of scans is worth one independent scan for every two correlation
+    lengths; the likelihood of each is raised to that power, whatever the frame rate.
+    """
+    news = moved_m / (2.0 * config.correlation_m) + elapsed_s / (2.0 * config.correlation_s)
+    return float(min(1.0, news))
+
+
+def tempered(
+    log_weights: Floats, log_likelihood: Floats, share: float, min_effective: float
+) -> tuple[Floats, float]:
+    """Log-weights after `share` of the evidence, or less where that would leave fewer than
+    `min_effective` effective particles (a wide cloud under a sharp measurement); and what was used.
+    """
+
+    def after(part: float) -> Floats:
+        return np.asarray(log_weights + part * log_likelihood)
+
+    def enough(part: float) -> bool:
+        return effective_count(normalized(after(part))[0]) >= min_effective
+
+    if enough(share) or not enough(0.0):
+        return after(share), share
+    return after(used := _largest(enough, share)), used
+
+
+def _largest(good: Callable[[float], bool], upper: float) -> float:
+    low, high = 0.0, upper
+    for _ in range(8):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if good(middle) else (low, middle)
+    return low
+
+
+def gnss_log_likelihood(
+    rear_poses: Floats,
+    fix: GnssFix,
+    antenna_m: Floats,
+    moved: Floats,
+    config: LocalizeConfig,
+) -> Floats:
+    """Log-likelihood `(n,)` of one fix: a Gaussian of HDOP times the receiver's standard deviation,
+    mixed with a wide one, so that an outlier of a hundred metres says nothing.
+
+    Args:
+        rear_poses: `(n, 3)` at the filter's time.
+        moved: `(3,)` motion of the vehicle from the filter's time to the fix, in vehicle axes.
+    """
+    yaw = rear_poses[:, 2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    at_fix = np.stack([rear_poses[:, 0], rear_poses[:, 1], yaw + moved[2]], axis=1)
+    at_fix[:, 0] += c * moved[0] - s * moved[1]
+    at_fix[:, 1] += s * moved[0] + c * moved[1]
+    antenna = shift_forward(at_fix, float(antenna_m[0]))
+    antenna[:, 0] -= antenna_m[1] * np.sin(at_fix[:, 2])
+    antenna[:, 1] += antenna_m[1] * np.cos(at_fix[:, 2])
+    variance = (config.gnss_sd_m * max(fix.hdop, 0.5)) ** 2
+    d2 = ((antenna[:, :2] - (fix.east_m, fix.north_m)) ** 2).sum(axis=1) / variance
+    wide = 400.0  # twenty times the standard deviation
+    return np.asarray(
+        np.logaddexp(
+            np.log1p(-config.gnss_outlier_share) - 0.5 * d2,
+            np.log(config.gnss_outlier_share / wide) - 0.5 * d2 / wide,
+        )
+    )

@@ -1,0 +1,176 @@
+"""The recent odometry: exact arcs between any two moments, and dead reckoning.
+
+Scans and fixes arrive late and between odometry samples, so the samples are kept for a while and
+integrated from any stamp to any other.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import pairwise
+from math import cos, inf, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.samples import OdometrySample
+
+Floats = NDArray[np.float64]
+_KEEP_S = 90.0
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """Motion at constant rates: duration, mean speed and yaw rate, and the part of the duration
+    for which no odometry was near."""
+
+    dt_s: float
+    speed_mps: float
+    yaw_rate_radps: float
+    blind_s: float
+
+
+class OdometryHistory:
+    """Odometry of the last minute and a half, linear between its samples.
+
+    Beyond the newest sample its speed and yaw rate hold on. Dead reckoning starts at the origin
+    with the first sample; only differences of it mean anything.
+    """
+
+    def __init__(self, gap_s: float) -> None:
+        self._gap_s = gap_s
+        self._stamps: list[float] = []
+        self._speeds: list[float] = []
+        self._yaw_rates: list[float] = []
+        self._x: list[float] = []
+        self._y: list[float] = []
+        self._yaw: list[float] = []
+        self._travelled: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def newest_s(self) -> float:
+        """Stamp of the newest sample, minus infinity before the first."""
+        return self._stamps[-1] if self._stamps else -inf
+
+    def push(self, sample: OdometrySample) -> bool:
+        """Append a sample; False if it is not newer than the last or not finite."""
+        values = (sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
+        if not np.isfinite(values).all() or sample.stamp_s <= self.newest_s:
+            return False
+        if self._stamps:
+            self._integrate_to(*values)
+        else:
+            for track in (self._x, self._y, self._yaw, self._travelled):
+                track.append(0.0)
+        self._stamps.append(sample.stamp_s)
+        self._speeds.append(sample.speed_mps)
+        self._yaw_rates.append(sample.yaw_rate_radps)
+        if self._stamps[0] < sample.stamp_s - 1.5 * _KEEP_S:
+            self._forget(sample.stamp_s - _KEEP_S)
+        return True
+
+    def _integrate_to(self, stamp_s: float, speed: float, yaw_rate: float) -> None:
+        dt = stamp_s - self._stamps[-1]
+        distance = 0.5 * (speed + self._speeds[-1]) * dt
+        half = 0.25 * (yaw_rate + self._yaw_rates[-1]) * dt
+        chord = distance * (sin(half) / half if abs(half) > 1e-8 else 1.0)
+        heading = self._yaw[-1] + half
+        self._x.append(self._x[-1] + chord * cos(heading))
+        self._y.append(self._y[-1] + chord * sin(heading))
+        self._yaw.append(heading + half)
+        self._travelled.append(self._travelled[-1] + abs(distance))
+
+    def _forget(self, before_s: float) -> None:
+        first = bisect_right(self._stamps, before_s)
+        for track in (
+            self._stamps,
+            self._speeds,
+            self._yaw_rates,
+            self._x,
+            self._y,
+            self._yaw,
+            self._travelled,
+        ):
+            del track[:first]
+
+    def rates_at(self, stamp_s: float) -> tuple[float, float]:
+        """Speed and yaw rate at a stamp; zero before the first sample exists."""
+        if not self._stamps:
+            return 0.0, 0.0
+        i = bisect_right(self._stamps, stamp_s)
+        if i == 0:
+            return self._speeds[0], self._yaw_rates[0]
+        if i == len(self._stamps):
+            return self._speeds[-1], self._yaw_rates[-1]
+        share = (stamp_s - self._stamps[i - 1]) / (self._stamps[i] - self._stamps[i - 1])
+        return (
+            self._speeds[i - 1] + share * (self._speeds[i] - self._speeds[i - 1]),
+            self._yaw_rates[i - 1] + share * (self._yaw_rates[i] - self._yaw_rates[i - 1]),
+        )
+
+    def arcs(self, start_s: float, end_s: float, longest_s: float) -> list[Arc]:
+        """Arcs from `start_s` to `end_s`; neighbouring samples are joined up to `longest_s`."""
+        if end_s <= start_s:
+            return []
+        low = bisect_right(self._stamps, start_s)
+        high = bisect_right(self._stamps, end_s)
+        knots = [start_s, *(t for t in self._stamps[low:high] if t < end_s), end_s]
+        pieces: list[Arc] = []
+        left = self.rates_at(start_s)
+        dt = turn = distance = blind = 0.0
+        for a, b in pairwise(knots):
+            right = self.rates_at(b)
+            step = b - a
+            if dt > 0.0 and dt + step > longest_s + 1e-9:
+                pieces.append(Arc(dt, distance / dt, turn / dt, blind))
+                dt = turn = distance = blind = 0.0
+            dt += step
+            distance += 0.5 * (left[0] + right[0]) * step
+            turn += 0.5 * (left[1] + right[1]) * step
+            blind += self._blind(a, b)
+            left = right
+        pieces.append(Arc(dt, distance / dt, turn / dt, blind))
+        return pieces
+
+    def _blind(self, a: float, b: float) -> float:
+        """The part of [a, b], which holds no sample inside, that lies in a gap of the odometry."""
+        i = bisect_right(self._stamps, a)
+        before = self._stamps[i - 1] if i > 0 else -inf
+        after = self._stamps[i] if i < len(self._stamps) else inf
+        if after - before <= self._gap_s:
+            return 0.0
+        # within the gap's length of a sample its value still holds
+        known_until = before + self._gap_s
+        return max(0.0, b - max(a, known_until))
+
+    def dead_reckoning(self, stamp_s: float) -> Floats:
+        """Pose `(3,)` of the rear axle in the dead-reckoning frame, yaw not wrapped."""
+        if not self._stamps:
+            return np.zeros(3)
+        i = max(bisect_right(self._stamps, stamp_s) - 1, 0)
+        dt = stamp_s - self._stamps[i]
+        speed, yaw_rate = self.rates_at(stamp_s)
+        distance = 0.5 * (self._speeds[i] + speed) * dt
+        turn = 0.5 * (self._yaw_rates[i] + yaw_rate) * dt
+        heading = self._yaw[i] + 0.5 * turn
+        chord = distance * float(np.sinc(0.5 * turn / np.pi))
+        return np.array(
+            [
+                self._x[i] + chord * cos(heading),
+                self._y[i] + chord * sin(heading),
+                self._yaw[i] + turn,
+            ]
+        )
+
+    def travelled_m(self, stamp_s: float) -> float:
+        """Length of the path up to a stamp, counted from the first sample."""
+        if not self._stamps:
+            return 0.0
+        i = max(bisect_right(self._stamps, stamp_s) - 1, 0)
+        speed, _ = self.rates_at(stamp_s)
+        moved = 0.5 * (self._speeds[i] + speed) * (stamp_s - self._stamps[i])
+        return self._travelled[i] + abs(moved)
