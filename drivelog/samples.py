@@ -97,6 +97,7 @@ class PoleScan:
         ids: `(n,)` track ids, -1 where the detector does not track.
         existence: `(n,)` probability that it is a pole.
         view: where a pole would have been seen, or None if the sensor does not say.
+        height_m: `(n,)` visible height over the ground, NaN where unknown, or None.
     """
 
     stamp_s: float
@@ -107,6 +108,7 @@ class PoleScan:
     ids: NDArray[np.int64]
     existence: Floats
     view: VisibleRegion | None = None
+    height_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.points_vehicle_m)
