@@ -26,7 +26,6 @@ INDEX = tuple(
     )
     for i in range(5)
 )
-_COLUMN_OF = tuple(tuple(INDEX[i]) for i in range(5))
 _PAIRS = tuple((int(i), int(j)) for i, j in zip(_ROWS, _COLUMNS, strict=True))
 
 

@@ -1,0 +1,100 @@
+"""Watches the stamps of one sensor against the times at which its samples arrive.
+
+A stamp that lies in the future of its arrival, or that falls behind the sensor's own earlier
+stamps and stays there, can only be a clock's fault. Until several samples agree on the size of
+the step they are dropped; then the step is taken out of every later stamp, so that the sensor
+is of use again. A mere delay never looks like that, and is left to the replay.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import isfinite
+
+from localize.output_config import OutputConfig
+
+# samples that agree on a step do so to this
+_AGREE_S = 0.05
+# an early sample of a sensor may be this much slower than its later ones
+_TYPICAL_SHARE = 0.1
+
+
+class StreamClock:
+    """One sensor's stamps.
+
+    `counts` holds what was found, by kind: not_finite, future, clock_backwards (dropped while a
+    step is being made sure of), clock_steps, silences.
+    """
+
+    def __init__(self, config: OutputConfig) -> None:
+        self._config = config
+        self.counts: Counter[str] = Counter()
+        self.silent_s = 0.0
+        self._correction_s = 0.0
+        self._delay_s: float | None = None
+        self._period_s: float | None = None
+        self._newest_s = float("-inf")
+        self._last_arrival_s: float | None = None
+        self._suspects: list[float] = []
+
+    def check(self, stamp_s: float, arrival_s: float) -> float | None:
+        """The stamp to use, or None if the sample must be dropped (and has been counted)."""
+        if not (isfinite(stamp_s) and isfinite(arrival_s)):
+            self.counts["not_finite"] += 1
+            return None
+        self._watch_silence(arrival_s)
+        stamp = stamp_s + self._correction_s
+        delay = arrival_s - stamp
+        problem = self._problem(stamp, delay)
+        if problem is None:
+            self._suspects.clear()
+            self._note(stamp, delay)
+            return stamp
+        self._suspects.append(delay)
+        if not self._step_is_sure():
+            self.counts[problem] += 1
+            return None
+        self.counts["clock_steps"] += 1
+        self._correction_s += delay - (self._delay_s or 0.0)
+        self._suspects.clear()
+        stamp = stamp_s + self._correction_s
+        self._newest_s = stamp
+        return stamp
+
+    def _problem(self, stamp: float, delay: float) -> str | None:
+        if delay < -self._config.future_s:
+            return "future"
+        step = self._config.clock_step_s
+        typical = self._delay_s
+        if typical is not None and stamp < self._newest_s - step and delay > typical + step:
+            return "clock_backwards"
+        return None
+
+    def _step_is_sure(self) -> bool:
+        needed = self._config.clock_step_samples
+        last = self._suspects[-needed:]
+        return len(last) == needed and max(last) - min(last) < _AGREE_S
+
+    def _note(self, stamp: float, delay: float) -> None:
+        if self._delay_s is None:
+            self._delay_s = delay
+        else:
+            # follows the short delays fast and the long ones slowly
+            share = 1.0 if delay < self._delay_s else _TYPICAL_SHARE * 0.1
+            self._delay_s += share * (delay - self._delay_s)
+        if stamp > self._newest_s:
+            self._newest_s = stamp
+
+    def _watch_silence(self, arrival_s: float) -> None:
+        last, self._last_arrival_s = self._last_arrival_s, arrival_s
+        if last is None:
+            return
+        gap = arrival_s - last
+        if self._period_s is None:
+            self._period_s = gap
+        limit = max(self._config.silence_s, 3.0 * self._period_s)
+        if gap > limit:
+            self.counts["silences"] += 1
+            self.silent_s += gap
+            return
+        self._period_s += 0.1 * (max(gap, 0.0) - self._period_s)

@@ -1,0 +1,274 @@
+"""The localizer: samples in, the pose at any moment out. Replay and a live car drive the same."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import count
+from threading import Lock
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.errors import InputError
+from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, StereoFrame
+from localize.clocks import StreamClock
+from localize.config import LocalizeConfig
+from localize.output_config import OutputConfig
+from localize.output_filter import OutputFilter, usable_pose
+from localize.output_limiter import OutputLimiter, OutputPose
+from localize.particle_filter import ParticleFilter, PfEstimate
+from polemap.landmark_map import PoleMap
+from vehicle.delay import Placement
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+Floats = NDArray[np.float64]
+
+STREAMS = ("odometry", "gnss", "camera")
+
+
+class Perception(Protocol):
+    """Frames to pole scans; `polemap.perception.PolePerception` is one."""
+
+    def push_odometry(self, sample: OdometrySample, /) -> None: ...
+
+    def push_frame(self, frame: StereoFrame, /) -> PoleScan: ...
+
+
+@dataclass(frozen=True, slots=True)
+class PoseUpdate:
+    """A pose of the particle filter and what became of it.
+
+    `decision`: "accepted", "ignored", "inflated", "vetoed", "reinitialized", "started",
+    "not_offered:REASON" or "dropped:REASON". `taken_s` is when the output filter got it.
+    """
+
+    estimate: PfEstimate
+    decision: str
+    taken_s: float
+
+
+class Localizer:
+    """A pole map and a stream of samples to a pose at any moment.
+
+    `push` and `pose` may be called from different threads: looking at a frame does not keep
+    `pose` waiting. Samples must be pushed in the order in which they arrive.
+
+    Args:
+        pole_map: None localizes by odometry and GNSS alone.
+        config: settings of the particle filter, and of the output filter in `config.output`.
+        wheelbase_m: rear axle to front axle.
+        rng: all randomness.
+        gnss_antenna_m: `(2,)` in the vehicle frame.
+        perception: finds poles in stereo frames; not needed where scans are pushed.
+        processing_delay_s: for replay; holds a pose back as long as the live system would need.
+        on_update: called with every pose of the particle filter once its fate is known.
+        clock: a monotonic clock in seconds; with it, `timings_s` collects the time of each stage.
+    """
+
+    def __init__(
+        self,
+        pole_map: PoleMap | None,
+        config: LocalizeConfig,
+        wheelbase_m: float,
+        rng: np.random.Generator,
+        *,
+        gnss_antenna_m: Floats | None = None,
+        perception: Perception | None = None,
+        processing_delay_s: float = 0.0,
+        on_update: Callable[[PoseUpdate], None] | None = None,
+        clock: Callable[[], float] | None = None,
+    ) -> None:
+        self._antenna = np.zeros(2) if gnss_antenna_m is None else np.asarray(gnss_antenna_m)
+        self._particle_filter = (
+            ParticleFilter(pole_map, config, wheelbase_m, rng) if pole_map is not None else None
+        )
+        self._filter = OutputFilter(config.output, self._antenna)
+        self._limiter = OutputLimiter(config.output)
+        self._config: OutputConfig = config.output
+        self._perception = perception
+        self._delay_s = processing_delay_s
+        self._on_update = on_update
+        self._clock = clock
+        self._clocks = {name: StreamClock(config.output) for name in STREAMS}
+        self._inbox: deque[OdometrySample | GnssFix] = deque(maxlen=20_000)
+        self._pending: list[tuple[float, int, PfEstimate]] = []
+        self._numbers = count()
+        # the slow half (perception, particles) and the fast half (output filter) lock apart
+        self._slow, self._fast = Lock(), Lock()
+        self.counts: Counter[str] = Counter()
+        self.timings_s: dict[str, list[float]] = {}
+
+    def push(self, sample: Sample) -> PfEstimate | None:
+        """Take a sample in; the particle filter's estimate if it led to one.
+
+        Reference poses and vehicle signals are no input of a localizer and are passed over.
+
+        Raises:
+            InputError: a stereo frame, but no perception was given.
+        """
+        if isinstance(sample, OdometrySample):
+            self._push_odometry(sample)
+        elif isinstance(sample, GnssFix):
+            self._push_gnss(sample)
+        elif isinstance(sample, PoleScan | StereoFrame) and self._particle_filter is not None:
+            return self._push_view(sample)
+        return None
+
+    def pose(self, stamp_s: float) -> OutputPose | None:
+        """The pose at `stamp_s` from what has arrived; None before the filter has started.
+
+        Asked at rising stamps, the answers never jump but where they are flagged. For a stamp at
+        or before the last one asked for, it is the filter's best knowledge of that moment.
+        """
+        with self._fast, self._timed("output_tick"):
+            self._release(stamp_s)
+            if not self._filter.started:
+                return None
+            state = self._filter.at(stamp_s)
+            if state.stamp_s > stamp_s:
+                return None
+            if stamp_s <= self._limiter.last_stamp_s:
+                return self._limiter.unlimited(state)
+            return self._limiter.next(state)
+
+    def summary(self) -> dict[str, int]:
+        """Counts of decisions, and of bad input by stream and kind."""
+        with self._slow, self._fast:
+            total: Counter[str] = Counter(self.counts)
+            for name, clock in self._clocks.items():
+                total.update({f"{name}_{kind}": n for kind, n in clock.counts.items()})
+            if self._particle_filter is not None:
+                total.update({f"pf_{k}": n for k, n in self._particle_filter.counts.items()})
+            if self._filter.started:
+                total.update(self._filter.newest.counts._asdict())
+            return dict(sorted(total.items()))
+
+    # the fast half
+
+    def _push_odometry(self, sample: OdometrySample) -> None:
+        with self._fast:
+            stamp = self._clocks["odometry"].check(sample.stamp_s, sample.arrival_s)
+            if stamp is None:
+                return
+            if not np.isfinite((sample.speed_mps, sample.yaw_rate_radps)).all():
+                self.counts["odometry_not_finite"] += 1
+                return
+            self._release(sample.arrival_s)
+            with self._timed("output_odometry"):
+                placed = self._filter.odometry(stamp, sample.speed_mps, sample.yaw_rate_radps)
+            self._count("odometry", placed)
+            if self._particle_filter is not None:
+                self._inbox.append(replace(sample, stamp_s=stamp))
+
+    def _push_gnss(self, fix: GnssFix) -> None:
+        with self._fast:
+            stamp = self._clocks["gnss"].check(fix.stamp_s, fix.arrival_s)
+            if stamp is None:
+                return
+            if not np.isfinite((fix.east_m, fix.north_m, fix.hdop)).all():
+                self.counts["gnss_not_finite"] += 1
+                return
+            self._release(fix.arrival_s)
+            placed = self._filter.gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
+            self._count("gnss", placed)
+            if self._particle_filter is not None:
+                self._inbox.append(replace(fix, stamp_s=stamp))
+
+    def _count(self, stream: str, placed: Placement | None) -> None:
+        if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
+            self.counts[f"{stream}_{placed.value}"] += 1
+
+    def _release(self, now_s: float) -> None:
+        """Give the output filter the poses that have been computed by `now_s`."""
+        while self._pending and self._pending[0][0] <= now_s:
+            taken, _, estimate = heapq.heappop(self._pending)
+            decision = self._offer(estimate)
+            if self._on_update is not None:
+                self._on_update(PoseUpdate(estimate, decision, taken))
+
+    def _offer(self, estimate: PfEstimate) -> str:
+        """Let the filter's health and then the gate decide."""
+        problem = usable_pose(estimate.stamp_s, estimate.pose, estimate.covariance)
+        if problem is not None:
+            self.counts[f"pose_{problem}"] += 1
+            return f"dropped:{problem}"
+        reason = self._not_offered(estimate)
+        if reason is not None:
+            self.counts[f"not_offered_{reason}"] += 1
+            return f"not_offered:{reason}"
+        with self._timed("output_pose"):
+            placed = self._filter.pose(estimate.stamp_s, estimate.pose, estimate.covariance)
+        if placed is Placement.TOO_OLD:
+            self.counts["late_dropped"] += 1
+        self._count("pose", placed)
+        if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
+            return f"dropped:{placed.value}"
+        return self._filter.decision_at(estimate.stamp_s)
+
+    def _not_offered(self, estimate: PfEstimate) -> str | None:
+        config = self._config
+        if not estimate.healthy:
+            return "unhealthy"
+        if estimate.modes > config.offer_modes_max:
+            return "modes"
+        if estimate.health.position_sd_major_m > config.offer_sd_max_m:
+            return "spread"
+        if estimate.health.match_share < config.offer_match_min:
+            return "match"
+        return None
+
+    # the slow half
+
+    def _push_view(self, sample: PoleScan | StereoFrame) -> PfEstimate | None:
+        assert self._particle_filter is not None
+        with self._fast:
+            stamp = self._clocks["camera"].check(sample.stamp_s, sample.arrival_s)
+            self._release(sample.arrival_s)
+            inbox = list(self._inbox)
+            self._inbox.clear()
+        with self._slow:
+            for earlier in inbox:
+                if isinstance(earlier, OdometrySample):
+                    self._particle_filter.predict(earlier)
+                    if self._perception is not None:
+                        self._perception.push_odometry(earlier)
+                else:
+                    self._particle_filter.gnss(earlier, self._antenna)
+            if stamp is None:
+                return None
+            scan = self._look(replace(sample, stamp_s=stamp))
+            with self._timed("particle_filter"):
+                estimate = self._particle_filter.update(scan)
+        if estimate is None:
+            return None
+        with self._fast:
+            taken = sample.arrival_s + self._delay_s
+            heapq.heappush(self._pending, (taken, next(self._numbers), estimate))
+            self._release(sample.arrival_s)
+        return estimate
+
+    def _look(self, sample: PoleScan | StereoFrame) -> PoleScan:
+        if isinstance(sample, PoleScan):
+            return sample
+        if self._perception is None:
+            raise InputError("a stereo frame was pushed, but this localizer has no perception")
+        with self._timed("perception"):
+            return self._perception.push_frame(sample)
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        if self._clock is None:
+            yield
+            return
+        begin = self._clock()
+        try:
+            yield
+        finally:
+            self.timings_s.setdefault(stage, []).append(self._clock() - begin)

@@ -1,0 +1,310 @@
+"""The output filter: odometry and late poses, in time order, to a smooth pose at any moment.
+
+A CTRV extended Kalman filter (S16, III-D) behind a replay buffer: every input is taken in at its
+own stamp, and what came before it but is later in time is done again. Every decision (gate,
+rejection policy, counts) is part of the state, so a replay decides again, as in time order.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import cos, isfinite, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localize.ctrv_kernel import (
+    INDEX,
+    Mean,
+    Noise,
+    Upper,
+    pack,
+    predict,
+    unpack,
+    update_entry,
+    wrap,
+)
+from localize.gnss_start import GnssStart
+from localize.output_config import OutputConfig
+from localize.output_state import (
+    Event,
+    FilterState,
+    GnssEvent,
+    OdometryEvent,
+    Pose,
+    PoseEvent,
+    PoseUpper,
+    Standstill,
+)
+from localize.rejection import antenna_residual, moved, reject, weigh
+from vehicle.delay import Placement, ReplayBuffer
+from vehicle.kalman import angle_residual, chi_square_gate, innovate, is_covariance, joseph_update
+
+Floats = NDArray[np.float64]
+
+# order of events of one stamp
+_ODOMETRY, _GNSS, _POSE = 0, 1, 2
+_POSE_ROWS = np.eye(3, 5)
+_STANDSTILL_SD_MPS, _STANDSTILL_SD_RADPS = 0.005, 0.0005
+_STANDSTILL_SAMPLES_MAX = 400
+_NEVER = float("-inf")
+
+
+class OutputFilter:
+    """CTRV EKF with exact out-of-sequence replay.
+
+    Args:
+        config: settings.
+        gnss_antenna_m: `(2,)` antenna in the vehicle frame.
+    """
+
+    def __init__(self, config: OutputConfig, gnss_antenna_m: Floats | None = None) -> None:
+        self._config = config
+        antenna = np.zeros(2) if gnss_antenna_m is None else np.asarray(gnss_antenna_m)
+        self._antenna = (float(antenna[0]), float(antenna[1]))
+        self._noise = Noise(
+            2.0 * config.acceleration_mps2**2 * config.acceleration_time_s,
+            2.0 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s,
+            2.0 * config.slip_share**2 * config.slip_time_s,
+        )
+        self._pose_limit = chi_square_gate(config.pose_gate, 3)
+        self._odometry_limit = chi_square_gate(config.odometry_gate, 2)
+        self._gnss_limit = chi_square_gate(config.gnss_gate, 2)
+        self._buffer: ReplayBuffer[FilterState, Event] = ReplayBuffer(
+            self._apply, horizon_s=config.horizon_s, capacity=4096
+        )
+        self._recent: deque[tuple[float, OdometryEvent]] = deque(maxlen=4096)
+        self._start = GnssStart(antenna, config.start_yaw_sd_rad)
+
+    # what comes in
+
+    def odometry(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> Placement | None:
+        """Take odometry in; None while the filter has not started."""
+        event = OdometryEvent(speed_mps, yaw_rate_radps)
+        if self._buffer.started:
+            return self._buffer.insert(stamp_s, event, kind=_ODOMETRY)
+        self._start.odometry(stamp_s, speed_mps, yaw_rate_radps)
+        self._recent.append((stamp_s, event))
+        while self._recent[0][0] < stamp_s - self._config.horizon_s:
+            self._recent.popleft()
+        return None
+
+    def pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> Placement:
+        """Take a healthy pose `(3,)` of the rear axle with its covariance `(3, 3)` in.
+
+        The first one starts the filter, or takes over from a start by GNSS. The caller has made
+        sure with `usable_pose` that it can be used.
+        """
+        config = self._config
+        r = covariance * config.pose_inflation
+        a, b, c = float(r[0, 0]), float(r[0, 1]), float(r[0, 2])
+        d, e, f = float(r[1, 1]), float(r[1, 2]), float(r[2, 2])
+        floor_m2, floor_rad2 = config.pose_floor_m**2, config.pose_floor_rad**2
+        event = PoseEvent(
+            (float(pose[0]), float(pose[1]), wrap(float(pose[2]))),
+            (a + floor_m2, b, c, d + floor_m2, e, f + floor_rad2),
+        )
+        if self._buffer.started:
+            return self._buffer.insert(stamp_s, event, kind=_POSE)
+        self._begin(stamp_s, event.pose, event.upper, by_pose=True)
+        return Placement.APPENDED
+
+    def gnss(self, stamp_s: float, east_m: float, north_m: float, hdop: float) -> Placement | None:
+        """Take a fix in: it starts the filter, bounds it while poses fail, and vetoes.
+
+        None while the fixes do not yet show the heading.
+        """
+        sd = self._config.gnss_sd_m * max(hdop, 0.5)
+        if self._buffer.started:
+            return self._buffer.insert(stamp_s, GnssEvent(east_m, north_m, sd), kind=_GNSS)
+        found = self._start.fix(stamp_s, east_m, north_m, sd)
+        if found is None:
+            return None
+        (x, y, yaw), p = found[0].tolist(), found[1].tolist()
+        upper = (p[0][0], p[0][1], p[0][2], p[1][1], p[1][2], p[2][2])
+        self._begin(stamp_s, (x, y, yaw), upper, by_pose=False)
+        return Placement.APPENDED
+
+    # what goes out
+
+    @property
+    def started(self) -> bool:
+        return self._buffer.started
+
+    @property
+    def newest(self) -> FilterState:
+        """The state after the newest event."""
+        return self._buffer.state
+
+    def decision_at(self, stamp_s: float) -> str:
+        """What became of the last pose at or before `stamp_s`."""
+        return self._buffer.state_at(stamp_s).decision
+
+    def at(self, stamp_s: float) -> FilterState:
+        """Open-loop prediction from the last event at or before `stamp_s`.
+
+        Raises:
+            VehicleError: the filter has not started.
+        """
+        state = self._buffer.state_at(stamp_s)
+        dt = stamp_s - state.stamp_s
+        if dt <= 0.0:
+            return state
+        mean, upper = predict(state.mean, state.upper, dt, self._noise)
+        return state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
+
+    # one event
+
+    def _apply(self, state: FilterState, stamp_s: float, event: Event) -> FilterState:
+        mean, upper = state.mean, state.upper
+        dt = stamp_s - state.stamp_s
+        if dt > 0.0:
+            mean, upper = predict(mean, upper, dt, self._noise)
+        if isinstance(event, OdometryEvent):
+            return self._take_odometry(state, stamp_s, mean, upper, event)
+        state = state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
+        if isinstance(event, PoseEvent):
+            return self._take_pose(state, event)
+        return self._take_gnss(state, event)
+
+    def _take_odometry(
+        self, state: FilterState, stamp_s: float, mean: Mean, upper: Upper, event: OdometryEvent
+    ) -> FilterState:
+        config = self._config
+        speed, rate = event
+        still, counts, rejected = state.standstill, state.counts, 0
+        if abs(speed) <= config.standstill_mps:
+            still = _standing(still, rate)
+            speed = rate = 0.0
+            rv, rw = _STANDSTILL_SD_MPS**2, _STANDSTILL_SD_RADPS**2
+        else:
+            rate -= still.offset_radps
+            rv = (config.speed_sd_mps + config.speed_sd_share * abs(speed)) ** 2
+            rw = config.yaw_rate_sd_radps**2
+        dv, dw = speed - mean[3], rate - mean[4]
+        s00, s01, s11 = upper[12] + rv, upper[13], upper[14] + rw
+        nis = (dv * dv * s11 - 2.0 * dv * dw * s01 + dw * dw * s00) / (s00 * s11 - s01 * s01)
+        if config.gate and nis > self._odometry_limit:
+            rejected = state.odometry_rejected + 1
+            counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)
+            if rejected > config.odometry_rejections_max:
+                # it insists: widen speed and yaw rate until it fits, then believe it
+                rejected = 0
+                upper = _widened(upper, dv * dv, dw * dw)
+        if not rejected:
+            mean, upper = update_entry(mean, upper, 3, speed - mean[3], rv)
+            mean, upper = update_entry(mean, upper, 4, rate - mean[4], rw)
+        # the constructor, not _replace: this is the hot path
+        return FilterState(
+            stamp_s,
+            mean,
+            upper,
+            counts,
+            state.rival,
+            still,
+            state.last_pose_s,
+            state.last_gnss_s,
+            rejected,
+            state.decision,
+            state.nis,
+        )
+
+    def _take_pose(self, state: FilterState, event: PoseEvent) -> FilterState:
+        config = self._config
+        counts = state.counts
+        if state.last_pose_s == _NEVER:
+            counts = counts._replace(takeovers=counts.takeovers + 1)
+            started = moved(state, event.pose, event.upper)
+            return started._replace(counts=counts, decision="started")
+        noise, covariance = _square(event.upper), unpack(state.upper)
+        residual = angle_residual(np.array(event.pose), np.array(state.mean[:3]), angle_rows=(2,))
+        innovation = innovate(residual, covariance, _POSE_ROWS, noise)
+        if config.gate and innovation.nis > self._pose_limit:
+            return reject(state, event, residual, innovation.nis, config)
+        mean, updated = joseph_update(
+            np.array(state.mean), covariance, innovation, _POSE_ROWS, noise
+        )
+        return state._replace(
+            mean=_as_mean(mean),
+            upper=pack(updated),
+            counts=counts._replace(poses_accepted=counts.poses_accepted + 1),
+            rival=None,
+            last_pose_s=state.stamp_s,
+            decision="accepted",
+            nis=innovation.nis,
+        )
+
+    def _take_gnss(self, state: FilterState, event: GnssEvent) -> FilterState:
+        config = self._config
+        interval = min(max(state.stamp_s - state.last_gnss_s, 0.05), 10.0)
+        state = state._replace(last_gnss_s=state.stamp_s)
+        if state.rival is not None:
+            state = state._replace(rival=weigh(state, state.rival, event, self._antenna))
+        if state.stamp_s - state.last_pose_s < config.gnss_after_s:
+            return state
+        x, y, yaw, _, _ = state.mean
+        residual = np.array(antenna_residual((x, y, yaw), event, self._antenna))
+        c, s = cos(yaw), sin(yaw)
+        ax, ay = self._antenna
+        jacobian = np.zeros((2, 5))
+        jacobian[0, 0] = jacobian[1, 1] = 1.0
+        jacobian[0, 2], jacobian[1, 2] = -s * ax - c * ay, c * ax - s * ay
+        covariance, alone = unpack(state.upper), np.eye(2) * event.sd_m**2
+        counts = state.counts
+        if config.gate and innovate(residual, covariance, jacobian, alone).nis > self._gnss_limit:
+            counts = counts._replace(gnss_rejections=counts.gnss_rejections + 1)
+            return state._replace(counts=counts)
+        # fixes that share their error must not be averaged as if they did not
+        noise = alone * (1.0 + 2.0 * config.gnss_correlation_s / interval)
+        innovation = innovate(residual, covariance, jacobian, noise)
+        mean, updated = joseph_update(np.array(state.mean), covariance, innovation, jacobian, noise)
+        return state._replace(
+            mean=_as_mean(mean),
+            upper=pack(updated),
+            counts=counts._replace(gnss_accepted=counts.gnss_accepted + 1),
+        )
+
+    def _begin(self, stamp_s: float, pose: Pose, upper: PoseUpper, *, by_pose: bool) -> None:
+        known = self._recent[-1][1] if self._recent else None
+        speed, rate = known if known else (0.0, 0.0)
+        spread = [1.0, 0.1] if known else [100.0, 1.0]
+        state = FilterState(
+            stamp_s, (0.0, 0.0, 0.0, speed, rate), pack(np.diag([1.0, 1.0, 1.0, *spread]))
+        )
+        state = moved(state, pose, upper)._replace(decision="started")
+        self._buffer.reset(state if by_pose else state._replace(last_pose_s=_NEVER), stamp_s)
+        for stamp, event in self._recent:
+            if stamp > stamp_s:
+                self._buffer.insert(stamp, event, kind=_ODOMETRY)
+        self._recent.clear()
+
+
+def usable_pose(stamp_s: float, pose: Floats, covariance: Floats) -> str | None:
+    """Why a pose cannot be taken in ("not_finite", "bad_covariance"), or None."""
+    if not isfinite(stamp_s) or not np.isfinite(pose).all():
+        return "not_finite"
+    return None if is_covariance(covariance) else "bad_covariance"
+
+
+def _as_mean(values: Floats) -> Mean:
+    x, y, yaw, v, w = values.tolist()
+    return (x, y, wrap(yaw), v, w)
+
+
+def _square(upper: PoseUpper) -> Floats:
+    a, b, c, d, e, f = upper
+    return np.array([[a, b, c], [b, d, e], [c, e, f]])
+
+
+def _standing(still: Standstill, rate_radps: float) -> Standstill:
+    """The yaw rate's offset, a mean that forgets."""
+    samples = min(still.samples + 1, _STANDSTILL_SAMPLES_MAX)
+    offset = still.offset_radps + (rate_radps - still.offset_radps) / samples
+    return Standstill(offset, samples)
+
+
+def _widened(upper: Upper, speed_m2ps2: float, rate_rad2ps2: float) -> Upper:
+    values = list(upper)
+    values[INDEX[3][3]] += speed_m2ps2
+    values[INDEX[4][4]] += rate_rad2ps2
+    return tuple(values)

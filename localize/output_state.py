@@ -1,0 +1,91 @@
+"""What the output filter knows at one moment, and what it is told."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from localize.ctrv_kernel import Mean, Upper
+
+Pose = tuple[float, float, float]
+# upper triangle of a pose's 3x3 covariance, row by row
+PoseUpper = tuple[float, float, float, float, float, float]
+
+
+class OdometryEvent(NamedTuple):
+    speed_mps: float
+    yaw_rate_radps: float
+
+
+class PoseEvent(NamedTuple):
+    """A pose of the particle filter that was offered, with its covariance `(3, 3)` packed."""
+
+    pose: Pose
+    upper: PoseUpper
+
+
+class GnssEvent(NamedTuple):
+    """An antenna position and its standard deviation."""
+
+    east_m: float
+    north_m: float
+    sd_m: float
+
+
+Event = OdometryEvent | PoseEvent | GnssEvent
+
+
+class Counts(NamedTuple):
+    """Decisions so far; part of the state, so that a replay corrects them too."""
+
+    poses_accepted: int = 0
+    gate_rejections: int = 0
+    inflations: int = 0
+    reinitializations: int = 0
+    takeovers: int = 0
+    gnss_vetoes: int = 0
+    odometry_rejections: int = 0
+    gnss_accepted: int = 0
+    gnss_rejections: int = 0
+
+
+class Rival(NamedTuple):
+    """What the rejected poses say, as an offset from the filter's pose in the vehicle frame.
+
+    `evidence` is the sum over `fixes` GNSS fixes of how much better (log-likelihood) the filter
+    explains the fix than the rival does.
+    """
+
+    since_s: float
+    offset: Pose
+    fixes: int = 0
+    evidence: float = 0.0
+
+
+class Standstill(NamedTuple):
+    """Yaw rate that the odometry shows while the car stands: its offset."""
+
+    offset_radps: float = 0.0
+    samples: int = 0
+
+
+class FilterState(NamedTuple):
+    """Immutable, so that replay can go back to it.
+
+    Attributes:
+        mean: east, north, yaw, speed, yaw rate of the rear axle.
+        upper: upper triangle of the covariance.
+        decision: what became of the last pose.
+        nis: its squared Mahalanobis distance.
+    """
+
+    stamp_s: float
+    mean: Mean
+    upper: Upper
+    counts: Counts = Counts()
+    rival: Rival | None = None
+    standstill: Standstill = Standstill()
+    last_pose_s: float = float("-inf")
+    last_gnss_s: float = float("-inf")
+    odometry_rejected: int = 0
+    decision: str = ""
+    nis: float = float("nan")

@@ -1,0 +1,270 @@
+"""Replays a drive against a map: the content of a run folder, in the order a car would see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil, floor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.drive import Drive
+from drivelog.errors import FrameError, InputError
+from drivelog.samples import GnssFix, OdometrySample, PoleScan
+from localize.config import LocalizeConfig
+from localize.localizer import Localizer, PoseUpdate
+from localize.metrics import accuracy, smoothness, timing_summary
+from polemap.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+_Input = OdometrySample | GnssFix | PoleScan
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Poses `(n, 3)` east, north, yaw of the rear axle at `stamps_s` `(n,)`."""
+
+    stamps_s: Floats
+    poses: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What one replay gave.
+
+    Attributes:
+        pf: the particle filter at every update.
+        updates: what became of each of its poses.
+        kf: the output filter at every tick of 1 / rate.
+        output: per tick: speed, yaw rate, jump (m), age of the last pose used (s).
+        flags: per tick, "" in normal operation.
+        metrics: content of metrics.json.
+    """
+
+    pf: Trajectory
+    updates: tuple[PoseUpdate, ...]
+    kf: Trajectory
+    output: Floats
+    flags: tuple[str, ...]
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+
+def check_inputs(drive: Drive, pole_map: PoleMap | None, *, has_poles: bool) -> None:
+    """Refuse what cannot be localized, before any work is done.
+
+    Raises:
+        FrameError: map and drive are in different frames.
+        InputError: an empty map, or a drive without odometry, poles or GNSS.
+    """
+    if drive.odometry is None or not len(drive.odometry):
+        raise InputError(
+            f"drive {drive.name}: it has no odometry; localizing needs an odometry.csv"
+        )
+    if pole_map is None:
+        if drive.gnss is None or not len(drive.gnss):
+            raise InputError(f"drive {drive.name}: without poles it needs GNSS, and has none")
+        return
+    if pole_map.frame != drive.frame:
+        raise FrameError(
+            f"map is in {pole_map.frame}, drive {drive.name} in {drive.frame}; use a map built in "
+            "the drive's frame"
+        )
+    if not len(pole_map):
+        raise InputError("the map holds no poles; build it from a drive that saw some")
+    if not has_poles:
+        raise InputError(
+            f"drive {drive.name}: it has neither images nor poles.csv; --without-poles localizes "
+            "it by odometry and GNSS alone"
+        )
+
+
+def replay(
+    drive: Drive,
+    pole_map: PoleMap | None,
+    scans: Sequence[PoleScan],
+    config: LocalizeConfig,
+    *,
+    seed: int,
+    clock: Callable[[], float] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Run:
+    """Replay a drive whose poles have been found.
+
+    A sample counts from its arrival; the particle filter's pose counts from the arrival of its
+    scan plus `config.output.processing_delay_s`. The output at a tick knows what came before it.
+
+    Args:
+        drive: odometry, GNSS and, for the metrics, the reference.
+        pole_map: in the drive's frame; None for odometry and GNSS alone.
+        scans: poles seen, by arrival.
+        config: settings.
+        seed: of the particle filter.
+        clock: monotonic seconds; without it no timings.
+        progress: called with the number of samples done since the last call.
+
+    Raises:
+        FrameError, InputError: see `check_inputs`.
+    """
+    check_inputs(drive, pole_map, has_poles=len(scans) > 0)
+    updates: list[PoseUpdate] = []
+    localizer = Localizer(
+        pole_map,
+        config,
+        drive.wheelbase_m,
+        np.random.default_rng(seed),
+        gnss_antenna_m=drive.gnss_antenna_m,
+        processing_delay_s=config.output.processing_delay_s,
+        on_update=updates.append,
+        clock=clock,
+    )
+    ticks = _Ticks(localizer, config.output.rate_hz)
+    begin = clock() if clock else 0.0
+    for number, sample in enumerate(_samples(drive, scans if pole_map is not None else ())):
+        ticks.up_to(sample.arrival_s)
+        localizer.push(sample)
+        if progress and number % 1000 == 999:
+            progress(1000)
+    ticks.finish()
+    spent = clock() - begin if clock else float("nan")
+    pf = Trajectory(
+        np.array([u.estimate.stamp_s for u in updates]),
+        np.array([u.estimate.pose for u in updates]).reshape(-1, 3),
+        np.array([u.estimate.covariance for u in updates]).reshape(-1, 3, 3),
+    )
+    # poses become known in the order of their arrival, a trajectory is in the order of its stamps
+    order = np.argsort(pf.stamps_s, kind="stable")
+    pf = Trajectory(pf.stamps_s[order], pf.poses[order], pf.covariance[order])
+    kf, output, flags = ticks.result()
+    metrics = _metrics(drive, localizer, updates, pf, kf, output, flags)
+    if clock:
+        metrics["timing_ms"] = timing_summary(localizer.timings_s)
+        metrics["replay_s"] = spent
+    return Run(pf, tuple(updates), kf, output, flags, metrics)
+
+
+def _samples(drive: Drive, scans: Sequence[PoleScan]) -> list[_Input]:
+    """Odometry, fixes and scans in the order of arrival; odometry first among equals."""
+    rows: list[tuple[float, float, int, _Input]] = []
+    if drive.odometry is not None:
+        odometry = (drive.odometry.sample(row) for row in range(len(drive.odometry)))
+        rows += [(sample.arrival_s, sample.stamp_s, 0, sample) for sample in odometry]
+    if drive.gnss is not None:
+        fixes = (drive.gnss.sample(row) for row in range(len(drive.gnss)))
+        rows += [(sample.arrival_s, sample.stamp_s, 1, sample) for sample in fixes]
+    rows += [(scan.arrival_s, scan.stamp_s, 2, scan) for scan in scans]
+    rows.sort(key=lambda row: row[:3])
+    return [row[3] for row in rows]
+
+
+class _Ticks:
+    """Asks for the output at every k / rate, as a controller would."""
+
+    def __init__(self, localizer: Localizer, rate_hz: int) -> None:
+        self._localizer = localizer
+        self._rate = rate_hz
+        self._next: int | None = None
+        self._last_arrival_s = float("nan")
+        self._stamps: list[float] = []
+        self._rows: list[tuple[float, ...]] = []
+        self._covariance: list[Floats] = []
+        self._flags: list[str] = []
+
+    def up_to(self, arrival_s: float) -> None:
+        """Every tick before the arrival of the next sample."""
+        if not np.isfinite(arrival_s):
+            return
+        if self._next is None:
+            self._next = ceil(arrival_s * self._rate)
+        while self._next / self._rate < arrival_s:
+            self._ask()
+        self._last_arrival_s = arrival_s
+
+    def finish(self) -> None:
+        """The ticks up to the last arrival, that one included."""
+        while self._next is not None and self._next <= floor(self._last_arrival_s * self._rate):
+            self._ask()
+
+    def _ask(self) -> None:
+        assert self._next is not None
+        stamp = self._next / self._rate
+        self._next += 1
+        answer = self._localizer.pose(stamp)
+        if answer is None:
+            return
+        self._stamps.append(stamp)
+        self._rows.append(
+            (
+                *answer.pose,
+                answer.speed_mps,
+                answer.yaw_rate_radps,
+                answer.jump_m,
+                answer.pose_age_s,
+            )
+        )
+        self._covariance.append(answer.covariance)
+        self._flags.append(answer.flag)
+
+    def result(self) -> tuple[Trajectory, Floats, tuple[str, ...]]:
+        rows = np.array(self._rows).reshape(-1, 7)
+        covariance = np.array(self._covariance).reshape(-1, 3, 3)
+        kf = Trajectory(np.array(self._stamps), rows[:, :3], covariance)
+        return kf, rows[:, 3:], tuple(self._flags)
+
+
+def _metrics(
+    drive: Drive,
+    localizer: Localizer,
+    updates: Sequence[PoseUpdate],
+    pf: Trajectory,
+    kf: Trajectory,
+    output: Floats,
+    flags: Sequence[str],
+) -> dict[str, Any]:
+    counts = localizer.summary()
+    result: dict[str, Any] = {
+        "drive": drive.name,
+        "frame": str(drive.frame),
+        "notes": list(drive.notes),
+        "duration_s": float(drive.duration_s),
+        "reinitializations": counts.pop("pf_reinitializations", 0),
+        "exploration_events": counts.pop("pf_exploration_events", 0),
+        "gate_rejections": counts.pop("gate_rejections", 0),
+        "late_dropped": counts.pop("late_dropped", 0),
+        "output_reinitializations": counts.pop("reinitializations", 0),
+        "counts": counts,
+        "input_problems": dict(drive.problems),
+        "updates": len(updates),
+        "output_poses": len(kf.stamps_s),
+        "latency_s": _latency(updates),
+        "jump_max_m": float(output[:, 2].max()) if len(output) else 0.0,
+        "flagged_ticks": sum(1 for flag in flags if flag),
+        "smoothness": {
+            "pf": smoothness(pf.stamps_s, pf.poses),
+            "kf": smoothness(kf.stamps_s, kf.poses),
+            "kf_at_pf_stamps": smoothness(*_sampled(kf, pf.stamps_s)),
+        },
+    }
+    if drive.reference is not None and len(drive.reference):
+        for name, trajectory in (("pf", pf), ("kf", kf)):
+            if len(trajectory.stamps_s):
+                result[name] = accuracy(
+                    trajectory.stamps_s, trajectory.poses, trajectory.covariance, drive.reference
+                )
+    return result
+
+
+def _sampled(kf: Trajectory, stamps_s: Floats) -> tuple[Floats, Floats]:
+    """The output at the last tick before each stamp, so that equal steps are compared."""
+    rows = np.searchsorted(kf.stamps_s, stamps_s, side="right") - 1
+    rows = rows[rows >= 0]
+    return kf.stamps_s[rows], kf.poses[rows]
+
+
+def _latency(updates: Sequence[PoseUpdate]) -> Mapping[str, float]:
+    late = np.array([u.taken_s - u.estimate.stamp_s for u in updates])
+    if not len(late):
+        return {}
+    return {"median": float(np.median(late)), "p95": float(np.percentile(late, 95))}
