@@ -80,6 +80,11 @@ class OdometryCalibration:
         return float(self._yaw[1])
 
     @property
+    def yaw_rate_scale(self) -> float:
+        """Relative correction g of the yaw rate."""
+        return float(self._yaw[2])
+
+    @property
     def speed_scale(self) -> float:
         """Relative correction s of the speed."""
         return float(self._scale)
