@@ -18,16 +18,21 @@ class DetectionConfig(BaseModel):
     model: str = Field("default", description="Built-in classifier name, or a path to its JSON.")
     row_step_px: int = Field(2, ge=1, le=8, description="Every n-th image row is looked at.")
     range_min_m: float = Field(3.0, gt=0.0)
-    range_max_m: float = Field(28.0, gt=0.0, le=100.0)
+    range_max_m: float = Field(25.0, gt=0.0, le=100.0)
     step_min_px: float = Field(0.8, gt=0.0, description="Smallest disparity jump of a depth edge.")
     step_min_m: float = Field(0.4, gt=0.0, description="Smallest depth jump of a depth edge.")
     width_min_m: float = Field(0.03, gt=0.0)
-    width_max_m: float = Field(0.9, gt=0.0)
+    width_max_m: float = Field(1.1, gt=0.0)
     lean_max_rad: float = Field(0.18, gt=0.0, le=0.5)
     height_min_m: float = Field(0.35, gt=0.0, description="Least upright extent with edges.")
     base_max_m: float = Field(2.2, gt=0.0, description="Greatest height of the lowest evidence.")
     hypotheses_max: int = Field(80, ge=1, le=1000)
     probability_min: float = Field(0.5, ge=0.0, le=1.0, description="Least to be a detection.")
+    disparity_sd_px: float = Field(0.35, gt=0.0, description="Error that a whole stem shares.")
+    column_sd_px: float = Field(0.7, gt=0.0, description="Error of a stem's centre column.")
+    across_sd_m: float = Field(0.03, ge=0.0, description="Of the axis at ground level, sideways.")
+    axis_share: float = Field(0.4, ge=0.0, le=1.0, description="Axis behind surface, in widths.")
+    axis_sd_share: float = Field(0.25, ge=0.0, le=1.0)
 
 
 class TrackingConfig(BaseModel):
@@ -35,7 +40,31 @@ class TrackingConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    output: Literal["detections", "tracks"] = "detections"
+    output: Literal["detections", "tracks"] = Field(
+        "detections",
+        description="A scan holds this frame's detections of confirmed tracks, or filtered tracks.",
+    )
+    probability_min: float = Field(
+        0.2, ge=0.0, le=1.0, description="Least for a detection to continue a track."
+    )
+    gate_probability: float = Field(0.99, gt=0.0, lt=1.0, description="Mass of the gate's ellipse.")
+    width_sd_m: float = Field(0.12, gt=0.0, description="Of one width measurement.")
+    detection_probability: float = Field(0.75, gt=0.0, lt=1.0, description="In view, per frame.")
+    birth_probability: float = Field(0.5, ge=0.0, le=1.0, description="Least to begin a track.")
+    gate_max_m: float = Field(2.5, gt=0.0, description="Of the gate, whatever the covariance.")
+    period_s: float = Field(0.1, gt=0.0, description="Frames closer than this are less evidence.")
+    error_time_s: float = Field(
+        0.3, ge=0.0, description="Correlation time of a stem's position error."
+    )
+    confirm_existence: float = Field(0.9, gt=0.0, lt=1.0)
+    confirm_hits: int = Field(2, ge=1)
+    delete_existence: float = Field(0.05, gt=0.0, lt=1.0)
+    forget_after_s: float = Field(3.0, gt=0.0, description="Not seen, not expected: dropped.")
+    speed_sd_share: float = Field(0.02, ge=0.0, description="Odometry noise in the prediction.")
+    speed_sd_mps: float = Field(0.1, ge=0.0)
+    yaw_rate_sd_radps: float = Field(0.01, ge=0.0)
+    drift_sd_mps: float = Field(0.05, ge=0.0, description="How fast a landmark may wander.")
+    gap_max_s: float = Field(1.0, gt=0.0, description="A longer gap in odometry drops all tracks.")
 
 
 class PolemapConfig(BaseModel):

@@ -1,0 +1,85 @@
+"""The road surface of one frame as a plane in disparity space.
+
+A plane in space is affine in (column, row, disparity): d = c0 + c1 u + c2 v. It is fitted to the
+disparities that lie near the plane which the mounting predicts, in shrinking bands of height, so
+that pitch and roll of the car and the slope of the road are followed.
+
+Source: R. Labayrade et al., v-disparity, IV 2002, for the road as a line in (v, d); here with roll.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+
+_BANDS_M = (0.6, 0.45, 0.3, 0.2, 0.15)  # half widths of the band of heights, shrinking
+_MIN_POINTS = 60
+_ROLL_PULL_PX2 = 30.0  # as if the columns spread by so much less
+_LEAST_CAMERA_HEIGHT_M = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """d = offset + per_column u + per_row v; `fitted` is False where only the mounting spoke."""
+
+    offset: float
+    per_column: float
+    per_row: float
+    fitted: bool
+
+    def row_px(self, column_px: Floats, disparity_px: Floats) -> Floats:
+        """The image row in which an object of this column and disparity meets the ground."""
+        rows = (disparity_px - self.offset - self.per_column * np.asarray(column_px)) / self.per_row
+        return np.asarray(rows)
+
+
+def ground_from_mounting(rig: StereoRig) -> Ground:
+    """The plane that a level car on a flat road would see."""
+    # height of a camera point above the ground: r . point + z_mount = 0, times focal length / depth
+    r_x, r_y, r_z = (float(value) for value in rig.vehicle_from_camera.rotation()[2])
+    height_m = max(rig.vehicle_from_camera.z_m, _LEAST_CAMERA_HEIGHT_M)
+    scale = -rig.baseline_m / height_m
+    return Ground(
+        offset=scale * (r_z * rig.focal_px - r_x * rig.cx_px - r_y * rig.cy_px),
+        per_column=scale * r_x,
+        per_row=scale * r_y,
+        fitted=False,
+    )
+
+
+def fit_ground(disparity: NDArray[np.float32], rig: StereoRig) -> Ground:
+    """The road plane of a checked left disparity map; the mounting's plane where it shows none."""
+    ground = ground_from_mounting(rig)
+    rows = np.arange(disparity.shape[0] // 2, disparity.shape[0], 4)
+    columns = np.arange(0, disparity.shape[1], 8)
+    grid = disparity[rows[0] :: 4, ::8]
+    at_row, at_column = np.nonzero(grid > 0)
+    d = grid[at_row, at_column].astype(np.float64)
+    u, v = columns[at_column].astype(np.float64), rows[at_row].astype(np.float64)
+    design = np.stack([np.ones_like(u), u, v], axis=1)
+    prior = np.array([ground.offset, ground.per_column, ground.per_row])
+    coefficients = prior
+    height_m = max(rig.vehicle_from_camera.z_m, _LEAST_CAMERA_HEIGHT_M)
+    for band_m in _BANDS_M:
+        expected = design @ coefficients
+        # at equal depth a disparity residual r is a height of about r / d times the camera height
+        height = height_m * (d - expected) / d
+        weight = np.clip(1.0 - (height / band_m) ** 2, 0.0, None) ** 2
+        weight *= (expected > 1.0) * (height_m / d) ** 2
+        if np.count_nonzero(weight) < _MIN_POINTS:
+            return ground
+        weighted = design * weight[:, None]
+        # a weak pull towards the mounting keeps the roll in place where the road is narrow
+        pull = np.diag([0.0, _ROLL_PULL_PX2, 0.0]) * weight.sum()
+        coefficients = np.linalg.solve(weighted.T @ design + pull, weighted.T @ d + pull @ prior)
+    if coefficients[2] <= 0.3 * prior[2]:
+        return ground
+    return Ground(
+        float(coefficients[0]), float(coefficients[1]), float(coefficients[2]), fitted=True
+    )

@@ -1,0 +1,222 @@
+"""The eye on one screen: frame -> disparity -> poles of this frame -> tracks -> scan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from drivelog.drive import Drive
+from drivelog.errors import InputError
+from drivelog.samples import OdometrySample, PoleScan, StereoFrame, VisibleRegion
+from polemap.classifier import PoleClassifier
+from polemap.config import PolemapConfig
+from polemap.detection import FrameView, detect
+from polemap.models.io import read_classifier
+from polemap.odometry_history import OdometryHistory
+from polemap.tracking import PoleTracker, Sighting, Tracks
+from stereo.config import StereoConfig
+from stereo.matching import DisparityPair, StereoMatcher, make_matcher
+from stereo.rig import StereoRig
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Everything that one frame led to, for pictures and tables."""
+
+    frame: StereoFrame
+    disparity: DisparityPair
+    view: FrameView
+    tracks: Tracks
+    scan: PoleScan
+
+
+class PolePerception:
+    """Turns stereo frames, or poles that were detected elsewhere, into scans of tracked poles.
+
+    Args:
+        rig: the camera; None for a drive without images.
+        config: settings of this room.
+        stereo: settings of the default matcher.
+        matcher: takes the place of the default matcher.
+        classifier: takes the place of the one that the settings name.
+    """
+
+    def __init__(
+        self,
+        rig: StereoRig | None,
+        config: PolemapConfig,
+        *,
+        stereo: StereoConfig | None = None,
+        matcher: StereoMatcher | None = None,
+        classifier: PoleClassifier | None = None,
+    ) -> None:
+        self._rig, self._config = rig, config
+        self._stereo, self._matcher, self._classifier = (
+            stereo or StereoConfig(),
+            matcher,
+            classifier,
+        )
+        self._tracker = PoleTracker(config.tracking)
+        self._odometry = OdometryHistory(gap_max_s=config.tracking.gap_max_s)
+        self._stamp_s: float | None = None
+
+    def push_odometry(self, sample: OdometrySample) -> None:
+        """Take a sample of speed and yaw rate."""
+        self._odometry.push(sample)
+
+    def push_frame(self, frame: StereoFrame) -> PoleScan:
+        """The poles of a stereo frame; see `look`."""
+        return self.look(frame).scan
+
+    def push_scan(self, scan: PoleScan) -> PoleScan:
+        """Track poles that were detected elsewhere; the scan comes back with ids and existence."""
+        sighting = Sighting(
+            scan.stamp_s,
+            scan.points_vehicle_m,
+            scan.covariance_m2,
+            scan.width_m,
+            np.full(len(scan), np.nan) if scan.height_m is None else scan.height_m,
+            scan.existence,
+            scan.view,
+        )
+        return self._track(sighting, scan.arrival_s)
+
+    def look(self, frame: StereoFrame) -> Look:
+        """The poles of a stereo frame with all that led to them.
+
+        Raises:
+            InputError: there is no camera, or the classifier cannot be read.
+            StereoError: images that do not fit the camera.
+        """
+        if self._rig is None:
+            raise InputError("perception: a stereo frame came, but the drive has no camera")
+        if self._matcher is None:
+            self._matcher = make_matcher(self._stereo, self._rig)
+        if self._classifier is None:
+            self._classifier = read_classifier(self._config.detection.model)
+        disparity = self._matcher.match(frame.left, frame.right)
+        return self.see(frame, disparity)
+
+    def see(self, frame: StereoFrame, disparity: DisparityPair) -> Look:
+        """`look` with disparity maps that are there already."""
+        if self._rig is None:
+            raise InputError("perception: a stereo frame came, but the drive has no camera")
+        if self._classifier is None:
+            self._classifier = read_classifier(self._config.detection.model)
+        view = detect(frame.left, disparity, self._rig, self._classifier, self._config.detection)
+        found = view.detections
+        sighting = Sighting(
+            frame.stamp_s,
+            found.points_vehicle_m,
+            found.covariance_m2,
+            found.width_m,
+            found.height_m,
+            found.probability,
+            view.region,
+        )
+        scan = self._track(sighting, frame.arrival_s)
+        return Look(frame, disparity, view, self._tracker.tracks, scan)
+
+    def _track(self, sighting: Sighting, arrival_s: float) -> PoleScan:
+        """Predict to the sighting's stamp, update, and say what is known now."""
+        tracker = self._tracker
+        if self._stamp_s is not None:
+            motion = self._odometry.between(self._stamp_s, sighting.stamp_s)
+            if motion is None:  # a hole in the odometry, or a clock that went back
+                tracker.clear()
+            else:
+                tracker.predict(motion)
+        self._stamp_s = sighting.stamp_s
+        tracker.update(sighting)
+        tracks = tracker.tracks.take(tracker.tracks.confirmed)
+        if self._config.tracking.output == "tracks":
+            # a track that was just not seen is still known, but only what is in view is a scan
+            shown = tracks.detection >= 0
+            if sighting.view is not None:
+                shown |= sighting.view.contains(tracks.points_vehicle_m)
+            tracks = tracks.take(shown)
+            return _scan(sighting, arrival_s, tracks)
+        tracks = tracks.take(tracks.detection >= 0)
+        rows = tracks.detection
+        measured = replace(
+            tracks,
+            points_vehicle_m=sighting.points_vehicle_m[rows],
+            covariance_m2=sighting.covariance_m2[rows],
+        )
+        return _scan(sighting, arrival_s, measured)
+
+
+def _scan(sighting: Sighting, arrival_s: float, tracks: Tracks) -> PoleScan:
+    view: VisibleRegion | None = sighting.view
+    return PoleScan(
+        sighting.stamp_s,
+        arrival_s,
+        tracks.points_vehicle_m,
+        tracks.covariance_m2,
+        tracks.width_m,
+        tracks.ids,
+        tracks.existence,
+        view,
+        tracks.height_m,
+    )
+
+
+def scan_drive(
+    drive: Drive,
+    config: PolemapConfig,
+    progress: Callable[[int], None] | None = None,
+    *,
+    stereo: StereoConfig | None = None,
+) -> list[PoleScan]:
+    """The scans of a whole drive, from its images or from the poles that lie beside it.
+
+    Args:
+        drive: recording.
+        config: settings of this room.
+        progress: is called with 1 after every scan.
+        stereo: settings of the matcher.
+
+    Raises:
+        InputError: the drive has neither images nor detected poles, or one cannot be read.
+    """
+    if not drive.has_frames and not drive.scans:
+        raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
+    perception = PolePerception(drive.rig, config, stereo=stereo)
+    scans = []
+    for sample in samples_to_see(drive):
+        if isinstance(sample, OdometrySample):
+            perception.push_odometry(sample)
+            continue
+        if isinstance(sample, StereoFrame):
+            scans.append(perception.push_frame(sample))
+        else:
+            scans.append(perception.push_scan(sample))
+        if progress is not None:
+            progress(1)
+    return scans
+
+
+def samples_to_see(drive: Drive) -> Iterator[OdometrySample | StereoFrame | PoleScan]:
+    """Odometry and frames (or scans, where there are no frames) in the order of their stamps.
+
+    A whole drive lies on disk, so nothing is late here.
+    """
+    stamps: list[np.ndarray[Any, Any]] = []
+    makers: list[Callable[[int], OdometrySample | StereoFrame | PoleScan]] = []
+    if drive.odometry is not None:
+        stamps.append(drive.odometry.stamp_s)
+        makers.append(drive.odometry.sample)
+    if drive.has_frames:
+        stamps.append(drive.frame_stamps_s)
+        makers.append(drive.read_frame)
+    else:
+        stamps.append(np.array([scan.stamp_s for scan in drive.scans]))
+        makers.append(lambda row: drive.scans[row])
+    kind = np.concatenate([np.full(len(s), k) for k, s in enumerate(stamps)])
+    row = np.concatenate([np.arange(len(s)) for s in stamps])
+    # odometry of the same moment first; and one sample ahead, so that motion is interpolated
+    for index in np.lexsort((kind, np.concatenate(stamps))):
+        yield makers[kind[index]](int(row[index]))

@@ -1,0 +1,158 @@
+"""`polemap train`: the pole classifier from drives with a known pole map."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from drivelog.drive import open_drive
+from drivelog.errors import ConfigError
+from polemap import __version__
+from polemap.classifier import PoleClassifier
+from polemap.io import read_map
+from polemap.models.io import write_classifier
+from polemap.training import (
+    Judgement,
+    Samples,
+    TrainingConfig,
+    collect,
+    cross_validate,
+    join,
+    judge,
+    train,
+)
+from stereo.matching import make_matcher
+from tools.progress import progress
+from tools.settings import ConfigOption, SetOption, Settings, load_settings
+
+
+def command(
+    drives: Annotated[list[str], typer.Argument(help="DRIVE=MAP pairs.")],
+    out: Annotated[Path, typer.Option("--out", help="JSON file of the model.")],
+    unmapped: Annotated[
+        list[str] | None,
+        typer.Option("--unmapped", help="DRIVE=MAP of true poles that the drive's map lacks."),
+    ] = None,
+    parts: Annotated[
+        int, typer.Option("--parts", min=1, help="Stretches of a drive for cross-validation.")
+    ] = 1,
+    every: Annotated[int, typer.Option("--every", min=1, help="Use every n-th frame.")] = 1,
+    config: ConfigOption = None,
+    set_values: SetOption = None,
+) -> None:
+    """Train the pole classifier on drives with a known pole map.
+
+    Examples:
+      polemap train sim_1=sim_1/objects.geojson sim_2=sim_2/objects.geojson --out poles.json
+      polemap train kitti/sequences/03=kitti/poles/03.csv --parts 2 --out poles.json
+      polemap detect DRIVE --out DIR --set polemap.detection.model=poles.json
+
+    Hypotheses near a mapped pole count as poles, those far from all as other things. The printed
+    figures come from models that did not see the drive, or the part of it, that is judged.
+    """
+    settings = load_settings(config, set_values)
+    pairs, lacking = _pairs(drives), dict(_pairs(unmapped or []))
+    training = TrainingConfig(every=every)
+    gathered = [
+        _collect(drive, pole_map, lacking.get(drive), settings, training, parts)
+        for drive, pole_map in pairs
+    ]
+    samples = join(gathered)
+    crossed = None
+    if len(samples.groups) > 1:
+        crossed = judge(cross_validate(samples, training), samples.is_pole)
+    model = train(samples, training, _origin(samples, crossed, training))
+    write_classifier(model, out)
+    _tell(model, samples, crossed)
+
+
+def _pairs(items: list[str]) -> list[tuple[str, str]]:
+    pairs = []
+    for item in items:
+        drive, equals, pole_map = item.rpartition("=")
+        if not equals or not drive or not pole_map:
+            raise ConfigError(f"{item}: expected DRIVE=MAP, such as sim_1=sim_1/objects.geojson")
+        pairs.append((drive, pole_map))
+    return pairs
+
+
+def _collect(
+    path: str,
+    pole_map: str,
+    lacking: str | None,
+    settings: Settings,
+    training: TrainingConfig,
+    parts: int,
+) -> Samples:
+    drive = open_drive(Path(path))
+    known = read_map(Path(pole_map), drive.frame)
+    ignore = read_map(Path(lacking), drive.frame).points_m if lacking else None
+    matcher = make_matcher(settings.stereo, drive.rig)
+    with progress(len(drive.frame_stamps_s), f"hypotheses of {drive.name}") as advance:
+        return collect(
+            drive,
+            known,
+            matcher,
+            settings.polemap.detection,
+            training,
+            ignore_m=ignore,
+            parts=parts,
+            progress=advance,
+        )
+
+
+def _origin(
+    samples: Samples, crossed: Judgement | None, training: TrainingConfig
+) -> dict[str, Any]:
+    origin: dict[str, Any] = {
+        "version": __version__,
+        "drives": list(samples.groups),
+        "poles": int(np.count_nonzero(samples.is_pole)),
+        "others": int(np.count_nonzero(~samples.is_pole)),
+        "seed": "none drawn: the fit is deterministic",
+        "inverse_penalty": training.inverse_penalty,
+        "pole_within_m": training.pole_within_m,
+        "other_beyond_m": training.other_beyond_m,
+    }
+    if crossed is not None:
+        origin["cross_validated"] = _figures(crossed)
+    return origin
+
+
+def _figures(judgement: Judgement) -> dict[str, Any]:
+    return {
+        "average_precision": round(judgement.average_precision, 4),
+        "brier": round(judgement.brier, 4),
+        "reliability": [
+            {"probability": round(p, 3), "poles": round(share, 3), "count": int(count)}
+            for p, share, count in judgement.reliability.tolist()
+        ],
+    }
+
+
+def _tell(model: PoleClassifier, samples: Samples, crossed: Judgement | None) -> None:
+    """The result as one JSON document on stdout."""
+    order = np.argsort(-np.abs(model.weights))
+    report: dict[str, Any] = {
+        "samples": {
+            name: {
+                "poles": int(np.count_nonzero(samples.is_pole & (samples.group == row))),
+                "others": int(np.count_nonzero(~samples.is_pole & (samples.group == row))),
+            }
+            for row, name in enumerate(samples.groups)
+        },
+        "cross_validated": _figures(crossed) if crossed else None,
+        "weights": {model.names[i]: round(float(model.weights[i]), 3) for i in order},
+    }
+    if crossed is not None:
+        at = np.linspace(0, len(crossed.threshold) - 1, 12).astype(int)
+        report["precision_recall"] = [
+            [round(float(v[i]), 3) for v in (crossed.threshold, crossed.precision, crossed.recall)]
+            for i in at
+        ]
+    sys.stdout.write(json.dumps(report, indent=1) + "\n")
