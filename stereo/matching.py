@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
+from functools import cache
+
+from stereo.census_sgm import CensusSgm
 from stereo.config import StereoConfig
 from stereo.matching_types import DisparityPair, Image, StereoMatcher
 from stereo.opencv_sgbm import OpenCvSgbm
@@ -9,7 +13,29 @@ from stereo.rig import StereoRig
 
 __all__ = ["DisparityPair", "Image", "StereoMatcher", "make_matcher"]
 
+_NO_KERNEL = (
+    "the C++ extension of the census matcher is not built here: OpenCV's StereoSGBM serves "
+    "instead, slower and with fewer thin poles (install a C++17 compiler and reinstall)"
+)
+
+
+@cache
+def _warn_once() -> None:
+    warnings.warn(_NO_KERNEL, RuntimeWarning, stacklevel=3)
+
 
 def make_matcher(config: StereoConfig, rig: StereoRig | None = None) -> StereoMatcher:
-    """The matcher that `config` names; with a rig it refuses images of another size."""
-    return OpenCvSgbm(config, rig)
+    """The matcher that `config` names; with a rig it refuses images of another size.
+
+    Warns once where the census matcher's extension is missing, and gives OpenCV's.
+
+    Raises:
+        StereoError: the machine lacks the instruction set that the configuration asks for.
+    """
+    if config.matcher == "opencv_sgbm":
+        return OpenCvSgbm(config, rig)
+    try:
+        return CensusSgm(config, rig)
+    except ImportError:
+        _warn_once()
+        return OpenCvSgbm(config, rig)

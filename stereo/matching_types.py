@@ -18,12 +18,15 @@ class DisparityPair:
     `left[v, u]` belongs to left pixel (u, v) and its partner is right pixel (u - disparity, v);
     `right[v, u]` to right pixel (u, v), partner (u + disparity, v). NaN where there is none.
     `*_unchecked` hold the maps before the left-right check (half-occlusions keep a value there).
+    `*_margin` say by how much the winner beats its rivals, uint8, 255 (second - best) / second.
     """
 
     left: NDArray[np.float32]
     right: NDArray[np.float32]
     left_unchecked: NDArray[np.float32] | None = None
     right_unchecked: NDArray[np.float32] | None = None
+    left_margin: NDArray[np.uint8] | None = None
+    right_margin: NDArray[np.uint8] | None = None
 
 
 class StereoMatcher(Protocol):

@@ -1,0 +1,77 @@
+"""The census matcher: 5x5 census, Hamming cost, semi-global matching in the C++ extension."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from stereo.checks import check_pair
+from stereo.config import StereoConfig
+from stereo.errors import StereoError
+from stereo.matching_types import DisparityPair, Image
+from stereo.rig import StereoRig
+
+_ALPHA_ONE = 1 << 16
+
+
+class CensusSgm:
+    """Matches with the C++ kernel; one object keeps its memory from frame to frame.
+
+    Raises:
+        ImportError: the extension was not built.
+        StereoError: the machine lacks the instruction set that the configuration asks for.
+    """
+
+    name = "census_sgm"
+
+    def __init__(self, config: StereoConfig, rig: StereoRig | None = None) -> None:
+        census_kernel: Any = import_module("stereo.native.census_kernel")
+
+        self._kernel = census_kernel
+        self._config = config
+        self._rig = rig
+        if config.instruction_set not in ("auto", *census_kernel.instruction_sets()):
+            known = ", ".join(census_kernel.instruction_sets())
+            raise StereoError(
+                f"instruction_set {config.instruction_set}: this machine has {known}; use auto"
+            )
+        self._by_bits = {bits: self._make(bits) for bits in {8, config.uint16_bits}}
+
+    @property
+    def instruction_set(self) -> str:
+        """Which build of the loops runs here: avx512, avx2 or baseline."""
+        return str(self._by_bits[8].instruction_set)
+
+    def match(self, left: Image, right: Image) -> DisparityPair:
+        """Both disparity maps of a rectified pair.
+
+        Raises:
+            StereoError: images of different size or type, or too small for the search range.
+        """
+        check_pair(left, right, self._config, self._rig)
+        bits = 8 if left.dtype == np.uint8 else self._config.uint16_bits
+        maps = self._by_bits[bits].match(np.ascontiguousarray(left), np.ascontiguousarray(right))
+        return DisparityPair(*maps)
+
+    def _make(self, bits: int) -> Any:
+        config, penalties = self._config, self._config.penalties
+        tolerance = config.left_right_tolerance_px
+        return self._kernel.CensusMatcher(
+            disparities=config.disparities,
+            offset=config.min_disparity_px,
+            paths=config.paths,
+            own_right=config.right_map == "own",
+            p1=penalties.p1,
+            p2_min=penalties.p2_min,
+            gamma=penalties.gamma,
+            alpha_q16=round(penalties.alpha * _ALPHA_ONE / 2 ** (bits - 8)),
+            uniqueness_percent=config.uniqueness_percent,
+            subpixel=config.subpixel,
+            median=config.median,
+            tolerance=-1.0 if tolerance is None else tolerance,
+            outside_cost=config.outside_cost,
+            threads=config.threads,
+            instruction_set=config.instruction_set,
+        )

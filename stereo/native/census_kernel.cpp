@@ -1,0 +1,386 @@
+// census_sgm: 5x5 census, Hamming cost, semi-global matching over 4 or 8 paths, both views.
+//
+// One source for every processor: census_kernel_body.hpp is compiled once for each instruction set
+// and the best that the machine has is chosen at run time. All builds, and any number of threads,
+// give the same bytes: the arithmetic is of integers, but for two float divisions that are exact
+// to rounding everywhere.
+//
+// Source: Hirschmueller, TPAMI 2008 (path recursion); Spangenberg et al., IV 2014 (P2 that falls
+// with the intensity step).
+
+#include "census_kernel.hpp"
+
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <mutex>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#define KERNEL_NAMESPACE baseline
+#define KERNEL_TARGET
+#include "census_kernel_body.hpp"
+#undef KERNEL_NAMESPACE
+#undef KERNEL_TARGET
+
+#if defined(__x86_64__) && defined(__GNUC__)
+#define CENSUS_HAS_X86_VARIANTS 1
+#define KERNEL_NAMESPACE avx2
+#define KERNEL_TARGET __attribute__((target("avx2,bmi,bmi2,lzcnt,popcnt")))
+#include "census_kernel_body.hpp"
+#undef KERNEL_NAMESPACE
+#undef KERNEL_TARGET
+
+#if defined(__clang__)
+#define CENSUS_WIDE ""
+#else
+#define CENSUS_WIDE ",prefer-vector-width=512"
+#endif
+#define KERNEL_NAMESPACE avx512
+#define KERNEL_TARGET                                                                 \
+  __attribute__((target("avx2,bmi,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vl,avx512dq," \
+                        "avx512bitalg,avx512vpopcntdq,avx512vbmi" CENSUS_WIDE)))
+#define KERNEL_HAS_BYTE_POPCOUNT 1
+#include "census_kernel_body.hpp"
+#undef KERNEL_NAMESPACE
+#undef KERNEL_TARGET
+#undef KERNEL_HAS_BYTE_POPCOUNT
+#endif
+
+namespace py = pybind11;
+
+namespace census {
+namespace {
+
+struct Loops {
+  const char* name;
+  decltype(&baseline::census_rows) census_rows;
+  decltype(&baseline::first_pass) first_pass;
+  decltype(&baseline::second_pass) second_pass;
+};
+
+std::vector<Loops> supported_loops() {
+  std::vector<Loops> found;
+#if defined(CENSUS_HAS_X86_VARIANTS)
+  __builtin_cpu_init();
+  if (__builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bitalg") &&
+      __builtin_cpu_supports("avx512vpopcntdq") && __builtin_cpu_supports("avx512vbmi"))
+    found.push_back({"avx512", avx512::census_rows, avx512::first_pass, avx512::second_pass});
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"))
+    found.push_back({"avx2", avx2::census_rows, avx2::first_pass, avx2::second_pass});
+#endif
+  found.push_back(
+      {"baseline", baseline::census_rows, baseline::first_pass, baseline::second_pass});
+  return found;
+}
+
+Loops choose_loops(const std::string& name) {
+  const auto all = supported_loops();
+  if (name == "auto") return all.front();
+  for (const Loops& loops : all)
+    if (name == loops.name) return loops;
+  throw std::invalid_argument("this machine has no instruction set '" + name + "'");
+}
+
+// Runs the jobs side by side; an exception of any of them comes out here.
+void run_together(const std::vector<std::function<void()>>& jobs, bool threads) {
+  if (!threads) {
+    for (const auto& job : jobs) job();
+    return;
+  }
+  std::vector<std::exception_ptr> errors(jobs.size());
+  std::vector<std::thread> others;
+  const auto guarded = [&](std::size_t i) {
+    try {
+      jobs[i]();
+    } catch (...) {
+      errors[i] = std::current_exception();
+    }
+  };
+  for (std::size_t i = 1; i < jobs.size(); ++i) others.emplace_back(guarded, i);
+  guarded(0);
+  for (std::thread& other : others) other.join();
+  for (const std::exception_ptr& error : errors)
+    if (error) std::rethrow_exception(error);
+}
+
+// One aggregation: from two images to the winners of one view or of both.
+class Aggregation {
+ public:
+  void prepare(const Problem& p) {
+    const std::size_t rows = p.height;
+    for (View* view : {&left_, &right_}) {
+      view->pixels.resize(rows * p.pixel_stride());
+      view->planes.resize(3 * rows * p.plane_stride() + kLanes);
+    }
+    volume_.bytes.resize(rows * p.volume_stride());
+    const std::size_t columns = p.columns(), depth = p.disparities;
+    const std::size_t path = (depth + 2) * p.pixel_stride();
+    for (Scratch& s : halves_) {
+      for (int k = 0; k < p.vertical_paths; ++k) {
+        s.previous[k].resize(path);
+        s.current[k].resize(path);
+      }
+      s.minima.resize(6 * p.pixel_stride());
+      s.penalties.resize(3 * p.pixel_stride());
+      s.cost.resize(columns);
+      s.sums.resize(depth * p.sum_stride() + kLanes);
+      s.winners.resize(3 * (columns + 2 * kLanes));
+      s.strip_planes.resize(6 * columns * kLanes);
+      s.strip_penalty.resize((columns + 1) * kLanes);
+      s.strip_state.resize((2 * (depth + 2) + 2 + depth) * kLanes);
+      s.strip_block.resize(std::max({columns * std::max<std::size_t>(depth, kLanes),
+                                     std::size_t{64} * (depth + 1) * kLanes}));
+      s.strip_first.resize(columns * (depth + 1) * kLanes);
+      s.strip_sum.resize(kLanes * p.volume_stride());
+    }
+  }
+
+  // Copies an image into its padded rows; `flip` mirrors it.
+  template <typename T>
+  static void load(const Problem& p, View& view, const T* image, bool flip, int first, int last) {
+    for (int y = first; y < last; ++y) {
+      const T* source = image + static_cast<std::size_t>(y) * p.width;
+      u16* row = view.pixels.get() + static_cast<std::size_t>(y) * p.pixel_stride();
+      u16* target = row + kLanes;
+      if (flip)
+        for (int x = 0; x < p.width; ++x) target[x] = source[p.width - 1 - x];
+      else
+        for (int x = 0; x < p.width; ++x) target[x] = source[x];
+      std::fill(row, target, target[0]);
+      std::fill(target + p.width, row + p.pixel_stride(), target[p.width - 1]);
+    }
+  }
+
+  template <typename T>
+  void run(const Problem& p, const Loops& loops, const T* left, const T* right, bool flip,
+           bool threads, Maps maps) {
+    prepare(p);
+    const int middle = p.height / 2;
+    run_together({[&] { load(p, left_, left, flip, 0, p.height); },
+                  [&] { load(p, right_, right, flip, 0, p.height); }},
+                 threads);
+    run_together({[&] { loops.census_rows(p, left_, 0, p.height); },
+                  [&] { loops.census_rows(p, right_, 0, p.height); }},
+                 threads);
+    u8* volume = volume_.bytes.get();
+    const int top_rows = middle, bottom_rows = p.height - middle;
+    run_together(
+        {[&] { loops.first_pass(p, left_, right_, 0, middle, 1, halves_[0], volume); },
+         [&] {
+           loops.first_pass(p, left_, right_, p.height - 1, middle - 1, -1, halves_[1], volume);
+         }},
+        threads);
+    run_together({[&] {
+                    loops.second_pass(p, left_, right_, middle, p.height, 1, top_rows & 1,
+                                      halves_[0], volume, maps);
+                  },
+                  [&] {
+                    loops.second_pass(p, left_, right_, middle - 1, -1, -1, bottom_rows & 1,
+                                      halves_[1], volume, maps);
+                  }},
+                 threads);
+  }
+
+ private:
+  View left_, right_;
+  Volume volume_;
+  Scratch halves_[2];
+};
+
+// 3x3 median of the rows [first, last) of a map; a pixel keeps its value where the window is not
+// complete.
+void median_rows(const float* source, float* target, int width, int height, int first, int last) {
+  const auto order = [](float& a, float& b) {
+    const float low = b < a ? b : a;
+    b = b < a ? a : b;
+    a = low;
+  };
+  for (int y = first; y < last; ++y) {
+    const float* row = source + static_cast<std::size_t>(y) * width;
+    float* out = target + static_cast<std::size_t>(y) * width;
+    std::copy(row, row + width, out);
+    if (y == 0 || y == height - 1) continue;
+    for (int x = 1; x + 1 < width; ++x) {
+      float w[9];
+      bool known = true;
+      for (int k = 0; k < 9; ++k) {
+        w[k] = row[(k / 3 - 1) * width + x + k % 3 - 1];
+        known &= w[k] == w[k];
+      }
+      order(w[1], w[2]), order(w[4], w[5]), order(w[7], w[8]);
+      order(w[0], w[1]), order(w[3], w[4]), order(w[6], w[7]);
+      order(w[1], w[2]), order(w[4], w[5]), order(w[7], w[8]);
+      order(w[0], w[3]), order(w[5], w[8]), order(w[4], w[7]);
+      order(w[3], w[6]), order(w[1], w[4]), order(w[2], w[5]);
+      order(w[4], w[7]), order(w[4], w[2]), order(w[6], w[4]), order(w[4], w[2]);
+      out[x] = known ? w[4] : row[x];
+    }
+  }
+}
+
+// Keeps what is unique and what the other view confirms to within `tolerance` (negative: no check).
+void check_rows(const float* own, const float* other, const u8* unique, float* out, int sign,
+                float tolerance, int width, int first, int last) {
+  for (int y = first; y < last; ++y) {
+    const std::size_t row = static_cast<std::size_t>(y) * width;
+    for (int x = 0; x < width; ++x) {
+      const float d = own[row + x];
+      bool keep = unique[row + x] != 0;
+      if (keep && tolerance >= 0) {
+        const int partner = static_cast<int>(
+            std::floor(static_cast<float>(x) + static_cast<float>(sign) * d + 0.5f));
+        keep = partner >= 0 && partner < width &&
+               std::fabs(other[row + partner] - d) <= tolerance;
+      }
+      out[row + x] = keep ? d : __builtin_nanf("");
+    }
+  }
+}
+
+class CensusMatcher {
+ public:
+  CensusMatcher(int disparities, int offset, int paths, bool own_right, int p1, int p2_min,
+                int gamma, unsigned alpha_q16, int uniqueness_percent, bool subpixel, bool median,
+                float tolerance, int outside_cost, int threads, const std::string& instruction_set)
+      : own_right_(own_right),
+        median_(median),
+        tolerance_(tolerance),
+        threads_(threads),
+        loops_(choose_loops(instruction_set)) {
+    const bool valid = disparities >= 1 && disparities <= 256 && offset >= 0 && offset <= 4096 &&
+                       (paths == 4 || paths == 8) && p1 >= 0 && p1 <= p2_min && p2_min <= gamma &&
+                       gamma <= 85 && uniqueness_percent >= 0 && uniqueness_percent < 100 &&
+                       alpha_q16 <= (1u << 24) && outside_cost >= 0 && outside_cost <= 24 &&
+                       threads >= 1;
+    if (!valid) throw std::invalid_argument("a setting of the census matcher is out of its range");
+    problem_.disparities = disparities;
+    problem_.offset = offset;
+    problem_.vertical_paths = paths == 8 ? 3 : 1;
+    problem_.uniqueness_percent = uniqueness_percent;
+    problem_.p1 = static_cast<u8>(p1);
+    problem_.outside_cost = static_cast<u8>(outside_cost);
+    problem_.subpixel = subpixel;
+    problem_.p2_min = static_cast<u32>(p2_min);
+    problem_.gamma = static_cast<u32>(gamma);
+    problem_.alpha_q16 = alpha_q16;
+  }
+
+  std::string instruction_set() const { return loops_.name; }
+
+  template <typename T>
+  py::tuple match(const py::array_t<T, py::array::c_style>& left,
+                  const py::array_t<T, py::array::c_style>& right) {
+    if (left.ndim() != 2 || right.ndim() != 2 || left.shape(0) != right.shape(0) ||
+        left.shape(1) != right.shape(1) || left.size() == 0)
+      throw std::invalid_argument("the census matcher needs two grey images of one size");
+    const py::ssize_t height = left.shape(0), width = left.shape(1);
+    if (height > 32768 || width > 32768)
+      throw std::invalid_argument("the census matcher takes images up to 32768 x 32768");
+    const std::vector<py::ssize_t> shape = {height, width};
+    py::array_t<float> found[2] = {py::array_t<float>(shape), py::array_t<float>(shape)};
+    py::array_t<float> checked[2] = {py::array_t<float>(shape), py::array_t<float>(shape)};
+    py::array_t<u8> margins[2] = {py::array_t<u8>(shape), py::array_t<u8>(shape)};
+    float* raw[2] = {found[0].mutable_data(), found[1].mutable_data()};
+    float* out[2] = {checked[0].mutable_data(), checked[1].mutable_data()};
+    u8* margin[2] = {margins[0].mutable_data(), margins[1].mutable_data()};
+    {
+      const py::gil_scoped_release release;
+      const std::lock_guard<std::mutex> guard(busy_);
+      compute(left.data(), right.data(), static_cast<int>(width), static_cast<int>(height), raw,
+              out, margin);
+    }
+    return py::make_tuple(checked[0], checked[1], found[0], found[1], margins[0], margins[1]);
+  }
+
+ private:
+  template <typename T>
+  void compute(const T* left, const T* right, int width, int height, float* raw[2], float* out[2],
+               u8* margin[2]) {
+    Problem p = problem_;
+    p.width = width;
+    p.height = height;
+    const std::size_t size = static_cast<std::size_t>(width) * height;
+    for (Buffer<u8>& unique : unique_) unique.resize(size);
+    u8* unique[2] = {unique_[0].get(), unique_[1].get()};
+    if (!own_right_) {
+      views_[0].run(p, loops_, left, right, false, threads_ > 1,
+                    {raw[0], raw[1], margin[0], margin[1], unique[0], unique[1]});
+    } else {
+      // the right view is the left view of the mirrored and swapped pair
+      const auto one = [&] {
+        views_[0].run(p, loops_, left, right, false, threads_ > 1,
+                      {raw[0], nullptr, margin[0], nullptr, unique[0], nullptr});
+      };
+      const auto two = [&] {
+        views_[1].run(p, loops_, right, left, true, threads_ > 1,
+                      {raw[1], nullptr, margin[1], nullptr, unique[1], nullptr});
+        for (int y = 0; y < height; ++y) {
+          const std::size_t row = static_cast<std::size_t>(y) * width;
+          std::reverse(raw[1] + row, raw[1] + row + width);
+          std::reverse(margin[1] + row, margin[1] + row + width);
+          std::reverse(unique[1] + row, unique[1] + row + width);
+        }
+      };
+      run_together({one, two}, threads_ > 3);
+    }
+    if (median_) {
+      const auto smooth = [&](int view) {
+        median_buffer_[view].resize(size);
+        float* source = median_buffer_[view].get();
+        std::copy(raw[view], raw[view] + size, source);
+        median_rows(source, raw[view], width, height, 0, height);
+      };
+      run_together({[&] { smooth(0); }, [&] { smooth(1); }}, threads_ > 1);
+    }
+    const auto check = [&](int view) {
+      check_rows(raw[view], raw[1 - view], unique[view], out[view], view == 0 ? -1 : 1, tolerance_,
+                 width, 0, height);
+    };
+    run_together({[&] { check(0); }, [&] { check(1); }}, threads_ > 1);
+  }
+
+  Problem problem_{};
+  bool own_right_, median_;
+  float tolerance_;
+  int threads_;
+  Loops loops_;
+  std::mutex busy_;
+  Aggregation views_[2];
+  Buffer<u8> unique_[2];
+  Buffer<float> median_buffer_[2];
+};
+
+}  // namespace
+}  // namespace census
+
+PYBIND11_MODULE(census_kernel, module) {
+  using census::CensusMatcher;
+  module.doc() = "5x5 census and semi-global matching of both views (see stereo/census_sgm.py)";
+  module.def("instruction_sets", [] {
+    std::vector<std::string> names;
+    for (const auto& loops : census::supported_loops()) names.emplace_back(loops.name);
+    return py::cast(names);
+  });
+  py::class_<CensusMatcher>(module, "CensusMatcher")
+      .def(py::init<int, int, int, bool, int, int, int, unsigned, int, bool, bool, float, int, int,
+                    const std::string&>(),
+           py::kw_only(), py::arg("disparities"), py::arg("offset"), py::arg("paths"),
+           py::arg("own_right"), py::arg("p1"), py::arg("p2_min"), py::arg("gamma"),
+           py::arg("alpha_q16"), py::arg("uniqueness_percent"), py::arg("subpixel"),
+           py::arg("median"), py::arg("tolerance"), py::arg("outside_cost"), py::arg("threads"),
+           py::arg("instruction_set"))
+      .def_property_readonly("instruction_set", &CensusMatcher::instruction_set)
+      .def("match", &CensusMatcher::match<std::uint8_t>, py::arg("left").noconvert(),
+           py::arg("right").noconvert())
+      .def("match", &CensusMatcher::match<std::uint16_t>, py::arg("left").noconvert(),
+           py::arg("right").noconvert());
+}

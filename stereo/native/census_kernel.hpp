@@ -1,0 +1,122 @@
+// What the three builds of the hot loops (baseline, AVX2, AVX-512) have in common.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
+#include <memory>
+#include <new>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
+namespace census {
+
+using u8 = std::uint8_t;
+using u16 = std::uint16_t;
+using u32 = std::uint32_t;
+
+// Every inner loop runs over this many bytes: one AVX-512 register, two of AVX2, four of SSE2.
+constexpr int kLanes = 64;
+constexpr u16 kNoSum = 0xFFFF;
+
+// The compilers' portable vectors, for the transposition of bytes only: no loop expresses it.
+typedef u8 Bytes16 __attribute__((vector_size(16)));
+#if defined(__clang__) || __GNUC__ >= 12
+#define CENSUS_INTERLEAVE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define CENSUS_INTERLEAVE(a, b, ...) __builtin_shuffle(a, b, census::Bytes16{__VA_ARGS__})
+#endif
+#define CENSUS_INTERLEAVE_LOW(a, b) \
+  CENSUS_INTERLEAVE(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23)
+#define CENSUS_INTERLEAVE_HIGH(a, b) \
+  CENSUS_INTERLEAVE(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)
+
+constexpr int round_up(int value, int step) { return (value + step - 1) / step * step; }
+
+// Zero-filled memory on a cache line. Large blocks ask for huge pages: the volumes are read with
+// large strides, and small pages would cost a page-table walk a read.
+template <typename T>
+class Buffer {
+ public:
+  void resize(std::size_t count) {
+    if (count <= count_) return;
+    const std::size_t page = count * sizeof(T) >= (4u << 20) ? (2u << 20) : 64u;
+    const std::size_t bytes = (count * sizeof(T) + page - 1) / page * page;
+    void* memory = std::aligned_alloc(page, bytes);
+    if (memory == nullptr) throw std::bad_alloc();
+#if defined(__linux__) && defined(MADV_HUGEPAGE)
+    if (page > 64) madvise(memory, bytes, MADV_HUGEPAGE);
+#endif
+    __builtin_memset(memory, 0, bytes);
+    data_.reset(static_cast<T*>(memory));
+    count_ = count;
+  }
+  T* get() const { return data_.get(); }
+
+ private:
+  struct Free {
+    void operator()(T* memory) const { std::free(memory); }
+  };
+  std::unique_ptr<T, Free> data_;
+  std::size_t count_ = 0;
+};
+
+// Sizes, penalties and where things lie in memory. Rows of pixels are padded to whole blocks of
+// kLanes, with guards on both sides that the diagonal paths and the shifted right view may read.
+struct Problem {
+  int width, height;
+  int disparities, offset;  // searched: offset ... offset + disparities - 1
+  int vertical_paths;       // 1 (4 paths in all) or 3 (8 paths)
+  int uniqueness_percent;
+  u8 p1, outside_cost;
+  bool subpixel;
+  u32 p2_min, gamma, alpha_q16;
+
+  int paths() const { return 2 * vertical_paths + 2; }
+  int columns() const { return round_up(width, kLanes); }
+  int guard() const { return round_up(disparities + offset, kLanes) + kLanes; }
+  int plane_stride() const { return guard() + columns() + kLanes; }
+  int pixel_stride() const { return columns() + 2 * kLanes; }
+  int sum_stride() const { return columns() + kLanes; }
+  // an odd number of cache lines a row, so that rows do not fall into the same cache sets
+  std::size_t volume_stride() const {
+    return static_cast<std::size_t>(disparities) * columns() + kLanes;
+  }
+};
+
+// One image: intensities (rows of pixel_stride, first pixel at kLanes) and the three census bytes
+// (planes of rows of plane_stride, first pixel at guard).
+struct View {
+  Buffer<u16> pixels;
+  Buffer<u8> planes;
+};
+
+// Sums of path costs above the matching cost that the other half leaves behind: one byte each.
+struct Volume {
+  Buffer<u8> bytes;
+};
+
+// What one thread needs for its half of the image.
+struct Scratch {
+  Buffer<u8> previous[3], current[3];  // path costs of two rows, (disparities + 2) x pixel_stride
+  Buffer<u8> minima;                   // 2 x 3 x pixel_stride
+  Buffer<u8> penalties;                // 3 x pixel_stride: P2, then minimum + P2
+  Buffer<u8> cost;                     // one row of matching costs
+  Buffer<u16> sums;                    // disparities x sum_stride
+  Buffer<u16> winners;                 // 6 x (columns + 2 kLanes)
+  Buffer<u8> strip_planes;             // census bytes of a strip, columns by rows
+  Buffer<u8> strip_penalty;
+  Buffer<u8> strip_state, strip_block;
+  Buffer<u8> strip_first;              // left-to-right path of a strip
+  Buffer<u8> strip_sum;                // both horizontal paths of a strip, by rows
+};
+
+struct Maps {
+  float *left, *right;              // every winner, NaN where no partner lies in the image
+  u8 *left_margin, *right_margin;   // 255 (second - best) / second
+  u8 *left_unique, *right_unique;   // 1 where the winner passes the uniqueness test
+};
+
+}  // namespace census

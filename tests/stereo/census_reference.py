@@ -1,0 +1,167 @@
+"""Census SGM in plain numpy and python loops: slow, short, and what the kernel must equal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo.census import census_planes
+
+NO_SUM = 0xFFFF
+EIGHT = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]
+
+
+@dataclass
+class Settings:
+    disparities: int
+    offset: int = 0
+    paths: int = 8
+    own_right: bool = False
+    p1: int = 7
+    p2_min: int = 17
+    gamma: int = 50
+    alpha_q16: int = 1 << 17
+    uniqueness_percent: int = 5
+    subpixel: bool = True
+    median: bool = False
+    tolerance: float = 1.0
+    outside_cost: int = 12
+
+
+def cost_volume(left, right, s):
+    """`(height, width, disparities)` Hamming distances; `outside_cost` without a partner."""
+    bits_left = np.unpackbits(census_planes(left), axis=0)
+    bits_right = np.unpackbits(census_planes(right), axis=0)
+    height, width = left.shape
+    cost = np.full((height, width, s.disparities), s.outside_cost, dtype=np.int64)
+    for d in range(s.disparities):
+        shift = d + s.offset
+        if shift < width:
+            differ = bits_left[:, :, shift:] != bits_right[:, :, : width - shift]
+            cost[:, shift:, d] = differ.sum(axis=0)
+    return cost
+
+
+def aggregate(cost, image, s):
+    """Sum of the path costs over all directions."""
+    height, width, _ = cost.shape
+    total = np.zeros_like(cost)
+    for dv, du in EIGHT[: s.paths]:
+        path = np.zeros_like(cost)
+        for y in range(height)[:: -1 if dv < 0 else 1]:
+            for x in range(width)[:: -1 if du < 0 else 1]:
+                v, u = y - dv, x - du
+                if not (0 <= v < height and 0 <= u < width):
+                    path[y, x] = cost[y, x]
+                    continue
+                old = path[v, u]
+                step = abs(int(image[y, x]) - int(image[v, u]))
+                p2 = max(s.gamma - ((step * s.alpha_q16) >> 16), s.p2_min)
+                far = np.full(1, 10**6)
+                below = np.concatenate([far, old[:-1]]) + s.p1
+                above = np.concatenate([old[1:], far]) + s.p1
+                best = np.minimum(np.minimum(old, below), np.minimum(above, old.min() + p2))
+                path[y, x] = cost[y, x] + best - old.min()
+        total += path
+    return total
+
+
+def winners(lists, s):
+    """Disparity, margin and uniqueness of each pixel from `lists[y][x]`: its sums by disparity."""
+    height, width = len(lists), len(lists[0])
+    disparity = np.full((height, width), np.nan, dtype=np.float32)
+    margin = np.zeros((height, width), dtype=np.uint8)
+    unique = np.zeros((height, width), dtype=bool)
+    for y in range(height):
+        for x in range(width):
+            sums = lists[y][x]
+            if len(sums) == 0:
+                continue
+            d = int(np.argmin(sums))
+            best = int(sums[d])
+            rivals = [int(v) for k, v in enumerate(sums) if abs(k - d) > 1]
+            second = min(rivals) if rivals else NO_SUM
+            unique[y, x] = second * (100 - s.uniqueness_percent) >= best * 100
+            if second:
+                margin[y, x] = int(np.float32(255 * (second - best)) / np.float32(second))
+            fraction = np.float32(0)
+            if s.subpixel and 0 < d < len(sums) - 1:
+                bend = int(sums[d - 1]) + int(sums[d + 1]) - 2 * best
+                if bend > 0:
+                    fraction = np.float32(int(sums[d - 1]) - int(sums[d + 1])) / np.float32(
+                        2 * bend
+                    )
+            disparity[y, x] = np.float32(d + s.offset) + fraction
+    return disparity, margin, unique
+
+
+def left_lists(total, s):
+    height, width, count = total.shape
+    reach = [min(max(x - s.offset + 1, 0), count) for x in range(width)]
+    return [[total[y, x, : reach[x]] for x in range(width)] for y in range(height)]
+
+
+def right_lists(total, s):
+    height, width, count = total.shape
+    lists = []
+    for y in range(height):
+        row = []
+        for x in range(width):
+            reach = min(max(width - x - s.offset, 0), count)
+            d = np.arange(reach)
+            row.append(total[y, x + d + s.offset, d])
+        lists.append(row)
+    return lists
+
+
+def median3(disparity):
+    out = disparity.copy()
+    height, width = disparity.shape
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            window = disparity[y - 1 : y + 2, x - 1 : x + 2]
+            if np.isfinite(window).all():
+                out[y, x] = np.sort(window.ravel())[4]
+    return out
+
+
+def check(own, other, unique, sign, tolerance):
+    out = np.full_like(own, np.nan)
+    height, width = own.shape
+    for y in range(height):
+        for x in range(width):
+            d = own[y, x]
+            if not unique[y, x]:
+                continue
+            if tolerance >= 0:
+                partner = int(np.floor(np.float32(x) + np.float32(sign) * d + np.float32(0.5)))
+                if not 0 <= partner < width:
+                    continue
+                if not abs(other[y, partner] - d) <= np.float32(tolerance):
+                    continue
+            out[y, x] = d
+    return out
+
+
+def match(left, right, s: Settings):
+    """`(left, right, left_unchecked, right_unchecked, left_margin, right_margin)`."""
+    total = aggregate(cost_volume(left, right, s), left, s)
+    raw_left, margin_left, unique_left = winners(left_lists(total, s), s)
+    if s.own_right:
+        one, two = right[:, ::-1], left[:, ::-1]
+        total = aggregate(cost_volume(one, two, s), one, s)
+        found = winners(left_lists(total, s), s)
+        raw_right, margin_right, unique_right = (item[:, ::-1] for item in found)
+    else:
+        raw_right, margin_right, unique_right = winners(right_lists(total, s), s)
+    if s.median:
+        raw_left, raw_right = median3(raw_left), median3(raw_right)
+    return (
+        check(raw_left, raw_right, unique_left, -1, s.tolerance),
+        check(raw_right, raw_left, unique_right, +1, s.tolerance),
+        raw_left,
+        raw_right,
+        margin_left,
+        margin_right,
+    )
