@@ -1,0 +1,142 @@
+"""Does a pole stand there? What was seen, and what should have been seen and was not.
+
+A Bernoulli filter per pole: each look that had the pole in view moves its log-odds by how much
+better "it stands there" explains a sighting, or a miss, than "nothing does". How often a standing
+pole is seen at a range is measured on poles that are beyond doubt. Looks that follow each other
+share what hides a pole, so they count as one look every `independent_look_s`; and one drive can
+say only so much, because a parked van is as visible as a pole for as long as it is parked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from polemap.mapping_config import MappingConfig
+from polemap.sightings import Sightings
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+RANGE_STEP_M = 5.0
+_BINS = 16
+_BATCH = 2000
+_ESTABLISHED = 10  # sightings in the drive from which a pole's presence is beyond doubt
+_PRIOR_SEEN, _PRIOR_LOOKS = 6.0, 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Visibility:
+    """What one drive could say about poles; rows are poles.
+
+    Attributes:
+        seen: `(n, bins)` looks in which it was in view and seen, by range.
+        expected: `(n, bins)` looks in which it was in view.
+        weight: what a look counts as an independent one.
+    """
+
+    seen: Whole
+    expected: Whole
+    weight: float
+
+
+def visibility(
+    sightings: Sightings, owner: Whole, points_m: Floats, config: MappingConfig
+) -> Visibility:
+    """Count for every pole `(n, 2)` the looks of a drive that had it in view, and that saw it.
+
+    Args:
+        sightings: of the drive.
+        owner: `(len(sightings),)` pole of each sighting, -1 for none.
+        points_m: poles `(n, 2)`.
+        config: settings.
+    """
+    n = len(points_m)
+    seen, expected = np.zeros((n, _BINS), dtype=np.int64), np.zeros((n, _BINS), dtype=np.int64)
+    looks = sightings.looks
+    weight = _look_weight(looks.stamp_s, config)
+    reach = float(looks.free_range_m.max()) if looks.free_range_m.size else 0.0
+    if not n or reach <= 0.0:
+        # the detector does not say where it looks: only sightings count
+        rows = owner[owner >= 0]
+        np.add.at(seen, (rows, _bin(sightings.range_m[owner >= 0])), 1)
+        return Visibility(seen, seen.copy(), weight)
+    tree = KDTree(points_m)
+    hits = np.unique(sightings.look[owner >= 0] * n + owner[owner >= 0])
+    reach += float(np.hypot(*looks.origin_vehicle_m.T).max())
+    for start in range(0, len(looks), _BATCH):
+        batch = np.arange(start, min(start + _BATCH, len(looks)))
+        found: Any = tree.query_ball_point(looks.poses[batch, :2], reach)
+        look = np.repeat(batch, [len(rows) for rows in found])
+        pole = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in found])
+        in_view, distance, bearing = looks.sees(look, points_m[pole])
+        hit = np.isin(look * n + pole, hits)
+        usable = in_view | hit
+        look, pole, hit = look[usable], pole[usable], hit[usable]
+        distance, bearing = distance[usable], bearing[usable]
+        free = hit | ~_hidden(sightings, look, distance, bearing)
+        column = _bin(distance[free])
+        np.add.at(expected, (pole[free], column), 1)
+        np.add.at(seen, (pole[free & hit], _bin(distance[free & hit])), 1)
+    return Visibility(seen, expected, weight)
+
+
+def _bin(distance_m: Floats) -> Whole:
+    return np.clip((distance_m // RANGE_STEP_M).astype(np.int64), 0, _BINS - 1)
+
+
+def _look_weight(stamps: Floats, config: MappingConfig) -> float:
+    if len(stamps) < 2:
+        return 1.0
+    return float(min(1.0, np.median(np.diff(stamps)) / config.independent_look_s))
+
+
+def _hidden(
+    sightings: Sightings, look: Whole, distance: Floats, bearing: Floats
+) -> NDArray[np.bool_]:
+    """Whether something that was seen in the same look stands before the point."""
+    starts = np.searchsorted(sightings.look, look, side="left")
+    ends = np.searchsorted(sightings.look, look, side="right")
+    hidden = np.zeros(len(look), dtype=bool)
+    looks = sightings.looks
+    for step in range(int((ends - starts).max(initial=0))):
+        row = np.minimum(starts + step, len(sightings) - 1)
+        usable = starts + step < ends
+        _, near, toward = looks.sees(look, sightings.points_m[row])
+        width = np.where(np.isfinite(sightings.width_m[row]), sightings.width_m[row], 0.2)
+        # its shadow, and a little for what neither of the two bearings tells exactly
+        half = width / 2.0 / np.maximum(near, 0.5) + 0.01
+        hidden |= usable & (near < distance - 1.0) & (np.abs(toward - bearing) < half)
+    return hidden
+
+
+def detection_probability(parts: list[Visibility]) -> Floats:
+    """Probability by range `(bins,)` that a pole in view is seen, from poles beyond doubt."""
+    seen, expected = np.zeros(_BINS), np.zeros(_BINS)
+    for part in parts:
+        sure = part.seen.sum(axis=1) >= _ESTABLISHED
+        seen += part.seen[sure].sum(axis=0)
+        expected += part.expected[sure].sum(axis=0)
+    return (seen + _PRIOR_SEEN) / (expected + _PRIOR_LOOKS)
+
+
+def drive_log_odds(part: Visibility, detection: Floats, config: MappingConfig) -> Floats:
+    """What one drive says about each pole, `(n,)`, limited to `drive_log_odds_max`."""
+    false = config.false_alarm_probability
+    p = np.clip(detection, false, 0.99)
+    missed = part.expected - part.seen
+    gain = part.seen @ np.log(p / false) + missed @ np.log((1.0 - p) / (1.0 - false))
+    limit = config.drive_log_odds_max
+    return np.asarray(np.clip(part.weight * gain, -limit, limit))
+
+
+def combine(log_odds: list[Floats], config: MappingConfig) -> Floats:
+    """Existence `(n,)` after drives in the order of time, each limited, the sum limited too."""
+    total = np.zeros_like(log_odds[0])
+    for part in log_odds:
+        total = np.clip(total + part, -config.log_odds_max, config.log_odds_max)
+    return np.asarray(1.0 / (1.0 + np.exp(-total)))
