@@ -37,7 +37,7 @@ class LocalizeConfig(BaseModel):
     alpha1_speed_mps: float = Field(0.2, ge=0)
     alpha1_relative: float = Field(0.07, ge=0)
     alpha2_yaw_rate_radps: float = Field(0.03, ge=0)
-    alpha3_rotation_s: float = Field(0.004, ge=0)
+    alpha3_rotation_s: float = Field(0.01, ge=0)
     alpha4_rotation_rad: float = Field(0.003, ge=0)
     arc_s: float = Field(0.06, gt=0, le=1)
     odometry_gap_s: float = Field(0.5, gt=0)
@@ -48,8 +48,8 @@ class LocalizeConfig(BaseModel):
     standstill_speed_mps: float = Field(0.03, gt=0)
     standstill_s: float = Field(1.0, gt=0)
     yaw_rate_offset_sd_radps: float = Field(0.005, ge=0)
-    curvature_offset_sd_radpm: float = Field(0.001, ge=0)
-    yaw_rate_scale_sd: float = Field(0.01, ge=0)
+    curvature_offset_sd_radpm: float = Field(0.0015, ge=0)
+    yaw_rate_scale_sd: float = Field(0.03, ge=0)
     speed_scale_sd: float = Field(0.03, ge=0)
 
     # likelihood of a scan
@@ -73,9 +73,9 @@ class LocalizeConfig(BaseModel):
     gnss_max_age_s: float = Field(3.0, gt=0)
 
     # exploration and recovery
-    likelihood_short: float = Field(0.2, gt=0, le=1)
-    likelihood_long: float = Field(0.01, gt=0, le=1)
-    explore_margin: float = Field(0.6, gt=0, le=1)
+    likelihood_short_s: float = Field(1.0, gt=0)
+    likelihood_long_s: float = Field(20.0, gt=0)
+    explore_margin: float = Field(0.4, gt=0, le=1)
     explore_share_max: float = Field(0.2, ge=0, le=0.9)
     constellation_min_poles: int = Field(3, ge=2)
     constellation_interval_s: float = Field(0.5, ge=0)
@@ -99,9 +99,9 @@ class LocalizeConfig(BaseModel):
                 f"kld_particles_min {self.kld_particles_min} is above kld_particles_max "
                 f"{self.kld_particles_max}"
             )
-        if self.likelihood_long >= self.likelihood_short:
+        if self.likelihood_long_s <= self.likelihood_short_s:
             raise ValueError(
-                f"likelihood_long {self.likelihood_long} must be below likelihood_short "
-                f"{self.likelihood_short}"
+                f"likelihood_long_s {self.likelihood_long_s} must be above likelihood_short_s "
+                f"{self.likelihood_short_s}"
             )
         return self

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,20 +14,33 @@ from polemap.association import PoseLikelihoods
 
 Floats = NDArray[np.float64]
 
+_FULL_WEIGHT_POLES = 4.0
 _CANDIDATE_SD_M = 0.25
 _CANDIDATE_SD_RAD = 0.02
 
 
-def normalized_quality(result: PoseLikelihoods, weights: Floats) -> float:
-    """How well the matched poles fit, 0 to 1, whatever their number: the k-th root of the
-    likelihood of k matched poles, averaged over the particles.
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How well a scan fits the cloud, 0 to 1, and how many matches were possible (its weight)."""
+
+    value: float
+    possible: float
+
+
+def normalized_quality(result: PoseLikelihoods, weights: Floats, seen: int) -> Quality:
+    """The k-th root of the likelihood of k matched poles, averaged over the particles.
 
     The likelihood is taken relative to that of a perfect match, so that poles far away, which are
-    measured less sharply, do not look like a bad fit.
+    measured less sharply, do not look like a bad fit; and times the share of the possible matches
+    that exist, so that a single chance match does not look like a good one.
 
     Source: Spangenberg (2016), section IV-C.
     """
-    return float(weights @ np.exp(result.log_fit / np.maximum(result.matched, 1)))
+    matched = result.matched
+    possible = np.maximum(np.minimum(result.expected, seen), matched)
+    share = matched / np.maximum(possible, 1.0)
+    value = weights @ (share * np.exp(result.log_fit / np.maximum(matched, 1)))
+    return Quality(float(value), float(weights @ possible))
 
 
 class LikelihoodAverages:
@@ -36,32 +51,35 @@ class LikelihoodAverages:
 
     def __init__(self, config: LocalizeConfig) -> None:
         self._config = config
-        self._short: float | None = None
-        self._long: float | None = None
+        self._short = self._long = 0.0
+        self._age_s = 0.0
+        self._last_s = -np.inf
 
-    def update(self, quality: float) -> None:
-        """Take in the quality of one scan that could say something."""
-        if self._short is None or self._long is None:
-            self._short = self._long = quality
+    def update(self, stamp_s: float, quality: Quality) -> None:
+        """Take in the quality of one scan; one that could match little counts little."""
+        elapsed = min(stamp_s - self._last_s, self._config.likelihood_short_s)
+        self._last_s = stamp_s
+        # an average over what there was so far, until it has the length it should have
+        elapsed *= min(quality.possible / _FULL_WEIGHT_POLES, 1.0)
+        if elapsed <= 0.0:
             return
-        self._short += self._config.likelihood_short * (quality - self._short)
-        self._long += self._config.likelihood_long * (quality - self._long)
+        self._age_s += elapsed
+        for_short = min(self._config.likelihood_short_s, self._age_s)
+        for_long = min(self._config.likelihood_long_s, self._age_s)
+        self._short += -np.expm1(-elapsed / for_short) * (quality.value - self._short)
+        self._long += -np.expm1(-elapsed / for_long) * (quality.value - self._long)
 
     @property
     def share(self) -> float:
         """Share of the particles that should be drawn anew, 0 to `explore_share_max`."""
-        if self._short is None or self._long is None or self._long <= 0.0:
+        if self._age_s < self._config.likelihood_short_s or self._long <= 0.0:
             return 0.0
         missing = 1.0 - self._short / (self._config.explore_margin * self._long)
         return float(np.clip(missing, 0.0, self._config.explore_share_max))
 
-    def settle(self) -> None:
-        """After new particles came in: the short average starts again from the long one."""
-        self._short = self._long
-
     def reset(self) -> None:
         """Forget both."""
-        self._short = self._long = None
+        self._short = self._long = self._age_s = 0.0
 
 
 def draw_poses(

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from localize.config import LocalizeConfig
 
+# a single pole that fits, or does not, says little
+_LEAST_POSSIBLE = 1.5
+
 
 @dataclass(frozen=True, slots=True)
 class HealthRecord:
@@ -49,7 +52,8 @@ class LostDetector:
     def __init__(self, config: LocalizeConfig) -> None:
         self._config = config
         self._share = 1.0
-        self._bad_since_s: float | None = None
+        self._geometric_sd_m = 0.0
+        self._bad_s = 0.0
         self._last_s: float | None = None
 
     @property
@@ -57,27 +61,40 @@ class LostDetector:
         """Smoothed share of the poles that could match and do, 0 to 1."""
         return self._share
 
+    @property
+    def fits(self) -> bool:
+        """Whether enough of the poles match."""
+        return self._share >= self._config.lost_match_share
+
+    @property
+    def scattered(self) -> bool:
+        """Whether the cloud is too wide to find back by itself."""
+        return self._geometric_sd_m > self._config.lost_sd_m
+
+    @property
+    def lost(self) -> bool:
+        """Whether the filter should start anew.
+
+        Source: Spangenberg (2016), section V-D, for the spread; the matches are ours.
+        """
+        return self.scattered or self._bad_s >= self._config.lost_after_s
+
     def update(
-        self, stamp_s: float, matched: int, seen: int, in_view: int, geometric_sd_m: float
-    ) -> bool:
-        """Take in one update; True if the filter must be initialized anew."""
+        self, stamp_s: float, matched: int, seen: int, expected: float, geometric_sd_m: float
+    ) -> None:
+        """Take in what the estimate makes of a scan."""
         config = self._config
-        possible = min(seen, in_view)
         elapsed = 0.0 if self._last_s is None else stamp_s - self._last_s
         self._last_s = stamp_s
-        if possible >= 2:
-            gain = min(1.0, elapsed / (0.5 * config.lost_after_s))
-            self._share += gain * (min(matched / possible, 1.0) - self._share)
-        if self._share >= config.lost_match_share:
-            self._bad_since_s = None
-        elif self._bad_since_s is None:
-            self._bad_since_s = stamp_s
-        misfit = (
-            self._bad_since_s is not None and stamp_s - self._bad_since_s >= config.lost_after_s
-        )
-        return geometric_sd_m > config.lost_sd_m or misfit
+        self._geometric_sd_m = geometric_sd_m
+        possible = max(min(seen, expected), matched)
+        if possible < _LEAST_POSSIBLE:
+            return
+        gain = min(1.0, elapsed / (0.5 * config.lost_after_s))
+        self._share += gain * (min(matched / possible, 1.0) - self._share)
+        self._bad_s = 0.0 if self.fits else self._bad_s + elapsed
 
     def reset(self) -> None:
         """After an initialization: the benefit of the doubt."""
         self._share = 1.0
-        self._bad_since_s = None
+        self._bad_s = self._geometric_sd_m = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,18 +76,37 @@ def weigh_scan(
     scan: PoleScan,
     pole_map: PoleMap,
     config: LocalizeConfig,
-) -> tuple[PoseLikelihoods, Landmarks]:
-    """Likelihood of the scan for every rear-axle pose `(n, 3)`, and the landmarks it was held to.
+) -> PoseLikelihoods:
+    """Likelihood of the scan for every rear-axle pose `(n, 3)`.
 
     Source: Spangenberg (2016), equations (7) and (8).
     """
     view = scan.view if scan.view is not None else default_view(config)
     landmarks = landmarks_near(pole_map, rear_poses, reach_of(scan, view), config.p_detection)
     model = pole_model(config)
-    result = pole_log_likelihood(
+    return pole_log_likelihood(
         rear_poses, scan, landmarks, model, view=view, threads=config.threads
     )
-    return result, landmarks
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """What one pose makes of a scan: matched poles, map poles in view, detections hoped for."""
+
+    matched: int
+    in_view: int
+    expected: float
+
+
+def match_at(pose: Floats, scan: PoleScan, pole_map: PoleMap, config: LocalizeConfig) -> Match:
+    """Match a scan from a single rear-axle pose `(3,)`."""
+    view = scan.view if scan.view is not None else default_view(config)
+    rows = pole_map.within(pose[:2], reach_of(scan, view))
+    landmarks = Landmarks.of(pole_map, rows, config.p_detection)
+    result = pole_log_likelihood(pose[np.newaxis], scan, landmarks, pole_model(config), view=view)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    local = (landmarks.points_m - pose[:2]) @ np.array([[c, -s], [s, c]])
+    return Match(int(result.matched[0]), int(view.contains(local).sum()), float(result.expected[0]))
 
 
 def independent_share(moved_m: float, elapsed_s: float, config: LocalizeConfig) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,36 +12,35 @@ from numpy.typing import NDArray
 from drivelog.samples import GnssFix, OdometrySample, PoleScan
 from localize.calibration import OdometryCalibration
 from localize.config import LocalizeConfig
-from localize.constellation import Candidates, ConstellationIndex, PoleMemory
-from localize.exploration import LikelihoodAverages, draw_poses, normalized_quality
-from localize.gnss_alignment import GnssAlignment, GnssPose
+from localize.exploration import LikelihoodAverages, normalized_quality
 from localize.health import HealthRecord, LostDetector
 from localize.likelihood import (
-    default_view,
     gnss_log_likelihood,
     independent_share,
-    pole_model,
+    match_at,
     tempered,
     weigh_scan,
 )
 from localize.motion_noise import sample_motion
 from localize.odometry_history import OdometryHistory
 from localize.particles import (
-    Mode,
     effective_count,
-    find_modes,
+    log_mean,
     mean_and_covariance,
+    modes_of,
     normalized,
     position_sd,
 )
-from localize.resampling import kld_count, low_variance_indices
-from polemap.association import Landmarks, PoseLikelihoods, pole_log_likelihood
+from localize.relocation import Relocation
+from localize.resampling import low_variance_indices, particles_needed
 from polemap.landmark_map import PoleMap
 from vehicle.pose import shift_forward, wrap_angle
 
 Floats = NDArray[np.float64]
+Event = Literal["initialized", "reinitialized", "explored"]
 
-_NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
+_MOST_FIXES = 200
+_RESTART_SHARE = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class PfEstimate:
     healthy: bool
     modes: int
     health: HealthRecord
-    event: str | None
+    event: Event | None
 
 
 class ParticleFilter:
@@ -90,25 +90,24 @@ class ParticleFilter:
         self._rng = rng
         self._history = OdometryHistory(config.odometry_gap_s)
         self._calibration = OdometryCalibration(config)
-        self._alignment = GnssAlignment(config)
-        self._memory = PoleMemory()
-        self._index = ConstellationIndex(pole_map)
+        self._relocation = Relocation(pole_map, config)
         self._averages = LikelihoodAverages(config)
         self._lost = LostDetector(config)
         self._fixes: list[tuple[GnssFix, Floats]] = []
         self._last_fix_s: float | None = None
-        self._poses: Floats | None = None
+        self._poses = np.empty((0, 3))
         self._log_weights = np.empty(0)
         self._stamp_s = -np.inf
         self._travelled_m = 0.0
-        self._searched_s = -np.inf
-        self._candidates = _NO_CANDIDATES
+        self._scan_evidence = 0.0
+        self._used_share = 0.0
+        self._explored_share = 0.0
         self.counts: Counter[str] = Counter()
 
     @property
     def initialized(self) -> bool:
         """Whether there is a cloud yet."""
-        return self._poses is not None
+        return len(self._poses) > 0
 
     @property
     def calibration(self) -> OdometryCalibration:
@@ -117,7 +116,7 @@ class ParticleFilter:
 
     def particles(self) -> tuple[Floats, Floats]:
         """Front-axle poses `(n, 3)` and weights `(n,)`, for pictures and tests."""
-        if self._poses is None:
+        if not self.initialized:
             return np.empty((0, 3)), np.empty(0)
         return self._poses.copy(), normalized(self._log_weights)[0]
 
@@ -130,250 +129,203 @@ class ParticleFilter:
     def gnss(self, fix: GnssFix, antenna_m: Floats) -> None:
         """Take in a fix of the antenna at `(2,)` in the vehicle frame."""
         values = (fix.stamp_s, fix.east_m, fix.north_m, fix.hdop)
-        if not np.isfinite(values).all() or fix.stamp_s <= self._alignment.newest_s:
+        if not np.isfinite(values).all() or fix.stamp_s <= self._relocation.newest_fix_s:
             self.counts["gnss_dropped"] += 1
             return
-        self._alignment.push(fix, antenna_m, self._history.dead_reckoning(fix.stamp_s))
-        self._fixes.append((fix, np.asarray(antenna_m, dtype=np.float64)))
-        del self._fixes[:-200]
+        antenna = np.asarray(antenna_m, dtype=np.float64)
+        self._relocation.add_fix(fix, antenna, self._history.dead_reckoning(fix.stamp_s))
+        self._fixes.append((fix, antenna))
+        del self._fixes[:-_MOST_FIXES]
 
     def set_pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
         """Start from a known (or believed) rear-axle pose `(3,)` with covariance `(3, 3)`."""
-        drawn = self._rng.multivariate_normal(pose, covariance, size=self._config.particles)
-        self._place(drawn, stamp_s)
+        drawn = self._rng.multivariate_normal(
+            np.asarray(pose), np.asarray(covariance), size=self._config.particles, method="cholesky"
+        )
+        self._place(drawn, np.zeros(len(drawn)))
+        self._stamp_s, self._travelled_m = stamp_s, self._history.travelled_m(stamp_s)
+        self._averages.reset()
+        self._lost.reset()
 
     def update(self, scan: PoleScan) -> PfEstimate | None:
-        """Move to the scan's stamp, weigh, estimate, explore, resample.
+        """Move to the scan's stamp, weigh, explore, estimate, resample.
 
         Returns:
-            None while no position is known, and for a scan older than the last one.
+            None while no position is known, and for a scan that is not newer than the last one.
         """
-        if not np.isfinite(scan.stamp_s) or scan.stamp_s <= self._stamp_s:
+        stamp = scan.stamp_s
+        if not np.isfinite(stamp) or stamp <= self._stamp_s:
             self.counts["scans_late"] += 1
             return None
-        reckoned = self._history.dead_reckoning(scan.stamp_s)
-        travelled = self._history.travelled_m(scan.stamp_s)
-        self._memory.push(scan, reckoned, travelled)
-        event = None
-        if self._poses is None:
-            if not self._initialize(scan, reckoned):
-                return None
-            event = "initialized"
+        reckoned = self._history.dead_reckoning(stamp)
+        travelled = self._history.travelled_m(stamp)
+        self._relocation.add_scan(scan, reckoned, travelled)
+        event: Event | None = None
+        if self.initialized:
+            self._move(stamp)
+            share = independent_share(
+                travelled - self._travelled_m, stamp - self._stamp_s, self._config
+            )
         else:
-            self._move(scan.stamp_s)
-        moved, elapsed = travelled - self._travelled_m, scan.stamp_s - self._stamp_s
-        self._stamp_s, self._travelled_m = scan.stamp_s, travelled
+            drawn = self._relocation.draw(self._config.particles, stamp, reckoned, self._rng)
+            if len(drawn) == 0:
+                return None
+            self._place(drawn, np.zeros(len(drawn)))
+            event, share = "initialized", 1.0
+        self._stamp_s, self._travelled_m = stamp, travelled
         self._weigh_fixes(reckoned)
-        share = 1.0 if event else independent_share(moved, elapsed, self._config)
-        return self._measure(scan, reckoned, share, event)
-
-    def _measure(
-        self, scan: PoleScan, reckoned: Floats, share: float, event: str | None
-    ) -> PfEstimate:
-        config = self._config
-        assert self._poses is not None
-        rear = shift_forward(self._poses, -self._wheelbase_m)
-        prior, _ = normalized(self._log_weights)
-        result, landmarks = weigh_scan(rear, scan, self._map, config)
-        self._log_weights, used = tempered(
-            self._log_weights,
-            result.log_likelihood,
-            share,
-            config.min_effective_share * len(rear),
+        self._weigh_scan(scan, share)
+        if event is None:
+            event = self._recover(scan, reckoned)
+        estimate = self._estimate(scan, event)
+        self._resample(estimate.health.n_eff)
+        self._calibration.learn(
+            stamp, estimate.pose, estimate.covariance, self._held_by_poles(estimate)
         )
-        weights, _ = normalized(self._log_weights)
-        if len(scan) and (result.visible.max(initial=0) or result.matched.max(initial=0)):
-            self._averages.update(normalized_quality(result, prior))
-        n_eff = effective_count(weights)
-        mean, covariance = mean_and_covariance(rear, weights)
-        major, minor = position_sd(covariance)
-        modes = self._modes(rear, weights, mean, covariance)
-        pose, cov = mean, covariance
-        if config.estimate == "best_mode" and modes and len(modes) > 1:
-            pose, cov = modes[0].mean, modes[0].covariance
-        fit = self._at_estimate(pose, scan, landmarks)
-        matched, in_view = int(fit.matched[0]), int(fit.visible[0])
-        lost = self._lost.update(
-            scan.stamp_s, matched, len(scan), in_view, float(np.sqrt(major * minor))
-        )
-        explored = 0
-        if lost and self._initialize(scan, reckoned):
-            event = "reinitialized"
-            self.counts["reinitializations"] += 1
-        elif event is None:
-            explored = self._explore(reckoned, scan.stamp_s)
-            if explored:
-                event = "explored"
-                self.counts["exploration_events"] += 1
-        count = len(weights)
-        if event != "reinitialized" and not explored:
-            self._resample(n_eff)
-        few_fit = self._lost.match_share < config.lost_match_share
-        best_share = modes[0].share if modes else 0.0
-        healthy = (
-            major <= config.healthy_sd_m
-            and len(modes) == 1
-            and not few_fit
-            and event not in ("initialized", "reinitialized")
-        )
-        held = healthy and matched >= 2 and major < 0.5
-        self._calibration.learn(scan.stamp_s, pose, cov, held)
-        health = HealthRecord(
-            stamp_s=scan.stamp_s,
-            matched=matched,
-            seen=len(scan),
-            in_view=in_view,
-            n_eff=n_eff,
-            position_sd_major_m=major,
-            position_sd_minor_m=minor,
-            exploration_ratio=explored / count,
-            lag_s=scan.arrival_s - scan.stamp_s,
-            particles=count,
-            match_share=self._lost.match_share,
-            modes=len(modes),
-            mode_share=best_share,
-            evidence_share=used,
-            yaw_rate_offset_radps=self._calibration.yaw_rate_offset_radps,
-            speed_scale=self._calibration.speed_scale,
-        )
-        return PfEstimate(
-            scan.stamp_s, scan.arrival_s, pose, cov, healthy, len(modes), health, event
-        )
+        return estimate
 
     def _move(self, stamp_s: float) -> None:
-        assert self._poses is not None
         arcs = self._history.arcs(self._stamp_s, stamp_s, self._config.arc_s)
         moved = sample_motion(self._poses, arcs, self._wheelbase_m, self._config, self._rng)
         moved[:, 2] = wrap_angle(moved[:, 2])
         self._poses = moved
 
+    def _rear(self) -> Floats:
+        return shift_forward(self._poses, -self._wheelbase_m)
+
+    def _place(self, rear: Floats, log_weights: Floats) -> None:
+        self._poses = shift_forward(rear, self._wheelbase_m)
+        self._poses[:, 2] = wrap_angle(self._poses[:, 2])
+        self._log_weights = log_weights
+
     def _weigh_fixes(self, reckoned: Floats) -> None:
         """Weigh by the fixes up to now; later ones wait for the next scan."""
-        assert self._poses is not None
         due = [entry for entry in self._fixes if entry[0].stamp_s <= self._stamp_s]
-        self._fixes = [entry for entry in self._fixes if entry[0].stamp_s > self._stamp_s]
-        rear = None
+        if not due:
+            return
+        del self._fixes[: len(due)]
+        rear = self._rear()
         for fix, antenna in due:
             last, self._last_fix_s = self._last_fix_s, fix.stamp_s
             if last is None or self._stamp_s - fix.stamp_s > self._config.gnss_max_age_s:
                 continue
             # fixes share one slowly wandering error: their information grows with time, not number
             share = min(1.0, (fix.stamp_s - last) / (2.0 * self._config.gnss_correlation_s))
-            rear = shift_forward(self._poses, -self._wheelbase_m) if rear is None else rear
-            moved = _relative(reckoned, self._history.dead_reckoning(fix.stamp_s))
+            moved = relative_motion(reckoned, self._history.dead_reckoning(fix.stamp_s))
             self._log_weights = self._log_weights + share * gnss_log_likelihood(
                 rear, fix, antenna, moved, self._config
             )
 
-    def _modes(self, rear: Floats, weights: Floats, mean: Floats, covariance: Floats) -> list[Mode]:
-        """A narrow cloud is one mode, which needs no search."""
+    def _weigh_scan(self, scan: PoleScan, share: float) -> None:
         config = self._config
-        major, _ = position_sd(covariance)
-        if (
-            major < 0.4 * config.mode_radius_m
-            and covariance[2, 2] < (0.4 * config.mode_radius_rad) ** 2
-        ):
-            return [Mode(1.0, mean, covariance)]
-        return find_modes(
-            rear,
-            weights,
-            radius_m=config.mode_radius_m,
-            radius_rad=config.mode_radius_rad,
-            share_min=config.mode_share_min,
+        result = weigh_scan(self._rear(), scan, self._map, config)
+        before, _ = normalized(self._log_weights)
+        self._log_weights, self._used_share = tempered(
+            self._log_weights,
+            result.log_likelihood,
+            share,
+            config.min_effective_share * len(self._poses),
+        )
+        self._scan_evidence = log_mean(result.log_likelihood, before)
+        self._averages.update(scan.stamp_s, normalized_quality(result, before, len(scan)))
+
+    def _recover(self, scan: PoleScan, reckoned: Floats) -> Event | None:
+        """Start anew when lost, explore when the likelihood has fallen."""
+        self._explored_share = 0.0
+        total = len(self._poses)
+        if self._lost.lost:
+            if self._lost.scattered:
+                drawn = self._relocation.draw(total, scan.stamp_s, reckoned, self._rng)
+            else:
+                # poles do not fit here, but the map may have changed: the old cloud keeps a part
+                drawn = self._relocation.draw(
+                    round(_RESTART_SHARE * total), scan.stamp_s, reckoned, self._rng
+                )
+            if len(drawn) == 0:
+                return None
+            self._mix_in(drawn, np.zeros(len(drawn)))
+            self._averages.reset()
+            self._lost.reset()
+            self.counts["reinitializations"] += 1
+            return "reinitialized"
+        wanted = round(self._averages.share * total)
+        if wanted == 0 or len(scan) < 2 or not self._relocation.rested(scan.stamp_s):
+            return None
+        drawn = self._relocation.draw(wanted, scan.stamp_s, reckoned, self._rng)
+        if len(drawn) == 0:
+            return None
+        # newcomers have passed no scan yet: they count by how they stand this one beside the others
+        result = weigh_scan(drawn, scan, self._map, self._config)
+        self._mix_in(drawn, np.minimum(result.log_likelihood - self._scan_evidence, 0.0))
+        self.counts["exploration_events"] += 1
+        return "explored"
+
+    def _mix_in(self, rear: Floats, log_weights: Floats) -> None:
+        """Let poses take the places of as many particles."""
+        total = len(self._poses)
+        self._explored_share = len(rear) / total
+        weights, _ = normalized(self._log_weights)
+        kept = low_variance_indices(weights, total - len(rear), self._rng)
+        self._place(
+            np.vstack([self._rear()[kept], rear]),
+            np.concatenate([np.zeros(len(kept)), log_weights]),
         )
 
-    def _at_estimate(self, pose: Floats, scan: PoleScan, landmarks: Landmarks) -> PoseLikelihoods:
-        view = scan.view if scan.view is not None else default_view(self._config)
-        return pole_log_likelihood(
-            pose[np.newaxis], scan, landmarks, pole_model(self._config), view=view
+    def _estimate(self, scan: PoleScan, event: Event | None) -> PfEstimate:
+        config = self._config
+        rear = self._rear()
+        weights, _ = normalized(self._log_weights)
+        mean, covariance = mean_and_covariance(rear, weights)
+        major, minor = position_sd(covariance)
+        modes = modes_of(rear, weights, mean, covariance, config)
+        pose, spread = mean, covariance
+        if config.estimate == "best_mode" and len(modes) > 1:
+            pose, spread = modes[0].mean, modes[0].covariance
+        fit = match_at(pose, scan, self._map, config)
+        self._lost.update(
+            scan.stamp_s, fit.matched, len(scan), fit.expected, float(np.sqrt(major * minor))
         )
+        settled = event not in ("initialized", "reinitialized") and len(modes) == 1
+        healthy = settled and major <= config.healthy_sd_m and self._lost.fits
+        health = HealthRecord(
+            stamp_s=scan.stamp_s,
+            matched=fit.matched,
+            seen=len(scan),
+            in_view=fit.in_view,
+            n_eff=effective_count(weights),
+            position_sd_major_m=major,
+            position_sd_minor_m=minor,
+            exploration_ratio=self._explored_share,
+            lag_s=scan.arrival_s - scan.stamp_s,
+            particles=len(rear),
+            match_share=self._lost.match_share,
+            modes=len(modes),
+            mode_share=modes[0].share if modes else 0.0,
+            evidence_share=self._used_share,
+            yaw_rate_offset_radps=self._calibration.yaw_rate_offset_radps,
+            speed_scale=self._calibration.speed_scale,
+        )
+        return PfEstimate(
+            scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event
+        )
+
+    def _held_by_poles(self, estimate: PfEstimate) -> bool:
+        health = estimate.health
+        return estimate.healthy and health.matched >= 2 and health.position_sd_major_m < 0.5
 
     def _resample(self, n_eff: float) -> None:
-        assert self._poses is not None
         config = self._config
-        weights, _ = normalized(self._log_weights)
-        count = config.particles
-        if config.kld_adaptive:
-            count = kld_count(
-                self._poses,
-                weights,
-                bin_m=config.kld_bin_m,
-                bin_rad=config.kld_bin_rad,
-                error=config.kld_error,
-                quantile=config.kld_quantile,
-                least=config.kld_particles_min,
-                most=config.kld_particles_max,
-            )
-        if n_eff >= config.resample_below * len(weights) and len(weights) == config.particles:
+        total = len(self._poses)
+        if n_eff >= config.resample_below * total and total >= config.particles:
             return
+        weights, _ = normalized(self._log_weights)
+        count = particles_needed(self._poses, weights, config)
         chosen = low_variance_indices(weights, count, self._rng)
         self._poses = self._poses[chosen]
         self._log_weights = np.zeros(count)
 
-    def _gnss_pose(self, reckoned: Floats, stamp_s: float) -> GnssPose | None:
-        if stamp_s - self._alignment.newest_s > self._config.gnss_max_age_s:
-            return None
-        return self._alignment.pose(reckoned)
 
-    def _search(self, reckoned: Floats, stamp_s: float, gnss: GnssPose | None) -> Candidates:
-        """Constellation matches, searched at most every `constellation_interval_s`."""
-        config = self._config
-        if stamp_s - self._searched_s < config.constellation_interval_s:
-            return _NO_CANDIDATES
-        self._searched_s = stamp_s
-        reach = np.inf
-        if gnss is not None:
-            reach = max(config.constellation_reach_m, 3.0 * position_sd(gnss.covariance)[0])
-        return self._index.find(
-            self._memory.around(reckoned),
-            tolerance_m=config.constellation_tolerance_m,
-            min_poles=config.constellation_min_poles + (gnss is None),
-            rng=self._rng,
-            centre_m=None if gnss is None else gnss.pose[:2],
-            reach_m=float(reach),
-        )
-
-    def _initialize(self, scan: PoleScan, reckoned: Floats) -> bool:
-        """Spread the particles where GNSS and the constellation of poles allow; False if neither
-        says anything."""
-        gnss = self._gnss_pose(reckoned, scan.stamp_s)
-        candidates = self._search(reckoned, scan.stamp_s, gnss)
-        drawn = draw_poses(self._config.particles, gnss, candidates, self._rng)
-        if len(drawn) == 0:
-            return False
-        self._place(drawn, scan.stamp_s)
-        return True
-
-    def _place(self, rear: Floats, stamp_s: float) -> None:
-        self._poses = shift_forward(rear, self._wheelbase_m)
-        self._poses[:, 2] = wrap_angle(self._poses[:, 2])
-        self._log_weights = np.zeros(len(rear))
-        self._stamp_s = stamp_s
-        self._travelled_m = self._history.travelled_m(stamp_s)
-        self._averages.reset()
-        self._lost.reset()
-
-    def _explore(self, reckoned: Floats, stamp_s: float) -> int:
-        """Replace a share of the particles when the likelihood has fallen; how many."""
-        assert self._poses is not None
-        share = self._averages.share
-        wanted = int(share * len(self._poses))
-        if wanted == 0 or stamp_s - self._searched_s < self._config.constellation_interval_s:
-            return 0
-        gnss = self._gnss_pose(reckoned, stamp_s)
-        drawn = draw_poses(wanted, gnss, self._search(reckoned, stamp_s, gnss), self._rng)
-        if len(drawn) == 0:
-            return 0
-        weights, _ = normalized(self._log_weights)
-        kept = low_variance_indices(weights, len(self._poses) - len(drawn), self._rng)
-        added = shift_forward(drawn, self._wheelbase_m)
-        self._poses = np.vstack([self._poses[kept], added])
-        self._poses[:, 2] = wrap_angle(self._poses[:, 2])
-        self._log_weights = np.zeros(len(self._poses))
-        return len(drawn)
-
-
-def _relative(start: Floats, end: Floats) -> Floats:
+def relative_motion(start: Floats, end: Floats) -> Floats:
     """Motion `(3,)` from one dead-reckoned pose to another, in the axes of the first."""
     c, s = np.cos(start[2]), np.sin(start[2])
     dx, dy = end[0] - start[0], end[1] - start[1]

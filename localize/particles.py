@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from localize.config import LocalizeConfig
 from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,14 @@ def normalized(log_weights: Floats) -> tuple[Floats, float]:
     weights = np.exp(log_weights - top)
     total = float(weights.sum())
     return weights / total, top + float(np.log(total))
+
+
+def log_mean(log_values: Floats, weights: Floats) -> float:
+    """Log of the weighted mean of values `(n,)` that are given by their logs."""
+    top = float(np.max(log_values))
+    if not np.isfinite(top):
+        return -np.inf
+    return top + float(np.log(weights @ np.exp(log_values - top)))
 
 
 def effective_count(weights: Floats) -> float:
@@ -87,6 +96,23 @@ def find_modes(
             mean, covariance = mean_and_covariance(poses[members], weights[members] / share)
             modes.append(Mode(share, mean, covariance))
     return sorted(modes, key=lambda mode: -mode.share)
+
+
+def modes_of(
+    rear: Floats, weights: Floats, mean: Floats, covariance: Floats, config: LocalizeConfig
+) -> list[Mode]:
+    """The modes of a cloud with known mean and covariance; a narrow one needs no search."""
+    major, _ = position_sd(covariance)
+    narrow_m, narrow_rad = 0.4 * config.mode_radius_m, 0.4 * config.mode_radius_rad
+    if major < narrow_m and covariance[2, 2] < narrow_rad**2:
+        return [Mode(1.0, mean, covariance)]
+    return find_modes(
+        rear,
+        weights,
+        radius_m=config.mode_radius_m,
+        radius_rad=config.mode_radius_rad,
+        share_min=config.mode_share_min,
+    )
 
 
 def _cluster(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from localize.config import LocalizeConfig
 from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -24,6 +25,22 @@ def low_variance_indices(
     teeth = (rng.random() + np.arange(count)) / count * cumulated[-1]
     indices = np.searchsorted(cumulated, teeth, side="right")
     return np.asarray(np.minimum(indices, len(weights) - 1), dtype=np.int64)
+
+
+def particles_needed(poses: Floats, weights: Floats, config: LocalizeConfig) -> int:
+    """The set number of particles, or what KLD sampling asks for where that is chosen."""
+    if not config.kld_adaptive:
+        return config.particles
+    return kld_count(
+        poses,
+        weights,
+        bin_m=config.kld_bin_m,
+        bin_rad=config.kld_bin_rad,
+        error=config.kld_error,
+        quantile=config.kld_quantile,
+        least=config.kld_particles_min,
+        most=config.kld_particles_max,
+    )
 
 
 def kld_count(

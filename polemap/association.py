@@ -155,18 +155,16 @@ class PoseLikelihoods:
 
     Attributes:
         log_likelihood: `(n,)`, relative to a scan that is all clutter in a world without poles.
-        log_fit: `(n,)`, the same without what depends on the sharpness of the measurement: sum of
-            `-d / 2` over the matched pairs and of `log(1 - p_D)` over the missed landmarks; at
-            most 0.
+        log_fit: `(n,)` sum of `-d / 2` over the matched pairs, with d of equation (7); at most 0.
+        expected: `(n,)` detections of map poles to be hoped for in the view.
         matched: `(n,)` pairs of the optimal assignment.
-        visible: `(n,)` map poles that should have been in view.
         assignment: `(n, z)` landmark of every seen pole, -1 for clutter; `(0, z)` if not asked for.
     """
 
     log_likelihood: Floats
     log_fit: Floats
+    expected: Floats
     matched: Ints
-    visible: Ints
     assignment: Ints
 
 
@@ -186,7 +184,8 @@ def pole_log_likelihood(
     A pair of pole z and landmark l is worth `log(p_D N(z; l, S / beta_p) N(width) / kappa)`, with
     `S = S_z + S_l`, less the price `log(1 - p_D)` of a miss that it saves when l is in view; the
     assignment of the highest sum counts, and pairs that are worth less than none are left out.
-    Misses are counted for landmarks inside `view` only.
+    Misses are counted for landmarks inside `view` only, and count less towards the limit R of its
+    range, which is no wall: by the factor `1 - (r / R)^2`.
 
     Args:
         poses: `(n, 3)` of the vehicle (rear axle) in the map.
@@ -243,8 +242,8 @@ def pair_gains(
     landmarks: Landmarks,
     model: PoleModel,
     view: VisibleRegion | None,
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Worth and fit `(z, m)` of every pair for one pose `(3,)`, and which landmarks are in view."""
+) -> tuple[Floats, Floats, Floats]:
+    """Worth and fit `(z, m)` of every pair for one pose, and how far `(m,)` are in view, 0 to 1."""
     covariance, log_gain = _prepared(scan, model)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     rotation = np.array([[c, -s], [s, c]])
@@ -262,10 +261,11 @@ def pair_gains(
     width_error = (scan.width_m[:, np.newaxis] - landmarks.width_m) / model.width_sd_m
     known = ~np.isnan(width_error)
     fit = -0.5 * model.beta_p * mahalanobis2 - 0.5 * np.where(known, width_error, 0.0) ** 2
-    in_view = np.zeros(len(landmarks), dtype=np.bool_)
+    fade = np.zeros(len(landmarks))
     if view is not None and len(landmarks):
-        in_view = view.contains((landmarks.points_m - pose[:2]) @ rotation)
-    fit = fit - np.where(in_view, log_miss, 0.0)
+        local = (landmarks.points_m - pose[:2]) @ rotation
+        distance = np.hypot(*(local - view.origin_vehicle_m).T)
+        fade = np.where(view.contains(local), 1 - (distance / view.free_range_m.max()) ** 2, 0.0)
     gain = (
         log_gain[:, np.newaxis]
         + log_hit
@@ -273,8 +273,9 @@ def pair_gains(
         - 0.5 * np.log(np.linalg.det(total))
         + np.where(known, model.log_width_gain, 0.0)
         + fit
+        - fade * log_miss
     )
-    return gain, fit, in_view
+    return gain, fit, fade
 
 
 def _likelihood_scipy(
@@ -291,17 +292,16 @@ def _likelihood_scipy(
     count = len(poses)
     log_likelihood, log_fit = np.empty(count), np.empty(count)
     assignment = np.full((count, len(scan)), -1, dtype=np.int32)
-    visible = np.empty(count, dtype=np.int32)
+    expected = np.empty(count)
     log_miss = np.log1p(-landmarks.detection)
     for i, pose in enumerate(poses):
-        gain, fit, in_view = pair_gains(pose, scan, landmarks, model, view)
+        gain, fit, fade = pair_gains(pose, scan, landmarks, model, view)
         total, assignment[i] = assign(-gain, 0.0, backend="scipy")
         matched_row = np.flatnonzero(assignment[i] >= 0)
-        misses = log_miss[in_view].sum()
-        log_likelihood[i] = misses - float(total)
-        log_fit[i] = misses + fit[matched_row, assignment[i, matched_row]].sum()
-        visible[i] = in_view.sum()
+        log_likelihood[i] = fade @ log_miss - float(total)
+        log_fit[i] = fit[matched_row, assignment[i, matched_row]].sum()
+        expected[i] = fade @ landmarks.detection
     # a pair of gain 0 ties with none; the kernel leaves it out, and so does the count
     matched = (assignment >= 0).sum(axis=1).astype(np.int32)
     kept = assignment if want_assignment else assignment[:0]
-    return PoseLikelihoods(log_likelihood, log_fit, matched, visible, kept)
+    return PoseLikelihoods(log_likelihood, log_fit, expected, matched, kept)

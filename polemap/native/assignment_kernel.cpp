@@ -363,14 +363,14 @@ struct Problem {
 
 // Likelihoods of the poses begin..end-1.
 void weigh(const Problem& q, const double* poses, py::ssize_t begin, py::ssize_t end,
-           double* log_likelihood, double* log_fit, std::int32_t* matched, std::int32_t* visible,
+           double* log_likelihood, double* log_fit, double* expected, std::int32_t* matched,
            std::int32_t* assignment) {
   const int stride = (q.landmarks + 7) / 8 * 8;
   std::vector<double> map_x(q.landmarks), map_y(q.landmarks), log_miss(q.landmarks),
-      log_hit(q.landmarks), range(q.landmarks), bearing(q.landmarks), pole_x(q.poles),
+      log_hit(q.landmarks), price(q.landmarks), range(q.landmarks), bearing(q.landmarks),
+      pole_x(q.poles),
       pole_y(q.poles), radius2(q.poles), alone(q.poles, 0.0);
   std::vector<std::uint8_t> mask(static_cast<std::size_t>(q.poles) * stride, 0);
-  std::vector<char> in_view(q.landmarks);
   std::vector<Edge> edges;
   std::vector<double> fit_of_edge;
   std::vector<int> match(q.poles);
@@ -404,7 +404,7 @@ void weigh(const Problem& q, const double* poses, py::ssize_t begin, py::ssize_t
     const double east = poses[3 * i], north = poses[3 * i + 1];
     const double c = std::cos(poses[3 * i + 2]), s = std::sin(poses[3 * i + 2]);
     double log_weight = 0.0;
-    int seen = 0;
+    double hoped_for = 0.0;
     if (q.view.bins > 0) {
       bearings(q.landmarks, map_x.data(), map_y.data(),
                east + c * q.view.origin_x - s * q.view.origin_y,
@@ -417,14 +417,18 @@ void weigh(const Problem& q, const double* poses, py::ssize_t begin, py::ssize_t
           inside = column >= 0.0 && column < q.view.bins &&
                    range[l] <= q.view.free_range[static_cast<int>(column)];
         }
-        in_view[l] = inside;
+        price[l] = 0.0;
         if (inside) {
-          log_weight += log_miss[l];
-          ++seen;
+          // the edge of the range is no wall: a miss says less the nearer to it
+          const double ratio = range[l] / longest_view;
+          const double fade = 1.0 - ratio * ratio;
+          price[l] = fade * log_miss[l];
+          log_weight += price[l];
+          hoped_for += fade * q.detection[l];
         }
       }
     } else {
-      std::fill(in_view.begin(), in_view.end(), 0);
+      std::fill(price.begin(), price.end(), 0.0);
     }
     for (int z = 0; z < q.poles; ++z) {
       pole_x[z] = east + c * q.points[2 * z] - s * q.points[2 * z + 1];
@@ -457,11 +461,7 @@ void weigh(const Problem& q, const double* poses, py::ssize_t begin, py::ssize_t
           fit -= 0.5 * width_error * width_error;
           gain += q.log_width_gain;
         }
-        gain += fit;
-        if (in_view[l]) {
-          gain -= log_miss[l];
-          fit -= log_miss[l];
-        }
+        gain += fit - price[l];
         if (gain > 0.0) {
           edges.push_back({z, l, -gain});
           fit_of_edge.push_back(fit);
@@ -472,12 +472,12 @@ void weigh(const Problem& q, const double* poses, py::ssize_t begin, py::ssize_t
     int count = 0;
     assigner.solve(edges, alone.data(), q.poles, q.landmarks, &cost, match.data(), &count);
     log_likelihood[i] = log_weight - cost;
-    double fit = log_weight;
+    double fit = 0.0;
     for (std::size_t edge = 0; edge < edges.size(); ++edge)
       if (match[edges[edge].row] == edges[edge].column) fit += fit_of_edge[edge];
     log_fit[i] = fit;
     matched[i] = count;
-    visible[i] = seen;
+    expected[i] = hoped_for;
     if (assignment != nullptr)
       std::copy(match.begin(), match.end(), assignment + i * q.poles);
   }
@@ -524,14 +524,14 @@ py::tuple pole_log_likelihood(const Doubles& poses, const Doubles& points,
                   log_width_gain,
                   View{view.at(0), view.at(1), view.at(2), view.at(3), view.at(4),
                        free_range.data(), static_cast<int>(free_range.size())}};
-  py::array_t<double> log_likelihood(n), log_fit(n);
-  py::array_t<std::int32_t> matched(n), visible(n);
+  py::array_t<double> log_likelihood(n), log_fit(n), expected(n);
+  py::array_t<std::int32_t> matched(n);
   py::array_t<std::int32_t> assignment({want_assignment ? n : 0, z});
   const double* pose = poses.data();
   double* weight = log_likelihood.mutable_data();
   double* fit = log_fit.mutable_data();
   std::int32_t* matches = matched.mutable_data();
-  std::int32_t* seen = visible.mutable_data();
+  double* hoped_for = expected.mutable_data();
   std::int32_t* pairs = want_assignment ? assignment.mutable_data() : nullptr;
   {
     py::gil_scoped_release release;
@@ -539,13 +539,13 @@ py::tuple pole_log_likelihood(const Doubles& poses, const Doubles& points,
     std::vector<std::thread> pool;
     for (int worker = 1; worker < workers; ++worker)
       pool.emplace_back([&, worker] {
-        weigh(problem, pose, n * worker / workers, n * (worker + 1) / workers, weight, fit, matches,
-              seen, pairs);
+        weigh(problem, pose, n * worker / workers, n * (worker + 1) / workers, weight, fit,
+              hoped_for, matches, pairs);
       });
-    weigh(problem, pose, 0, n / workers, weight, fit, matches, seen, pairs);
+    weigh(problem, pose, 0, n / workers, weight, fit, hoped_for, matches, pairs);
     for (std::thread& thread : pool) thread.join();
   }
-  return py::make_tuple(log_likelihood, log_fit, matched, visible, assignment);
+  return py::make_tuple(log_likelihood, log_fit, expected, matched, assignment);
 }
 
 }  // namespace

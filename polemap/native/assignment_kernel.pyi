@@ -26,7 +26,7 @@ def pole_log_likelihood(
 ) -> tuple[
     NDArray[np.float64],
     NDArray[np.float64],
-    NDArray[np.int32],
+    NDArray[np.float64],
     NDArray[np.int32],
     NDArray[np.int32],
 ]: ...
