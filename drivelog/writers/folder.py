@@ -31,6 +31,11 @@ class FolderWriter:
         self._frame = frame
         self._frames: list[tuple[float, str, str, float]] = []
 
+    @property
+    def folder(self) -> Path:
+        """Where the files lie until the drive is whole; for what has no method of its own here."""
+        return self._folder
+
     def frame(self, stamp_s: float, arrival_s: float, left: Image, right: Image) -> None:
         """Append a stereo pair; stamps must rise.
 
