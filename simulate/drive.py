@@ -1,0 +1,217 @@
+"""Scenario and seed in, drive folder out: the room on one screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from multiprocessing import get_context
+from os import cpu_count
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.drive import Lap
+from drivelog.frames import EarthFrame
+from drivelog.samples import Image
+from drivelog.writers.folder import folder_writer
+from simulate import sensors
+from simulate.camera import expose, exposure_of, make_units
+from simulate.config import SimulateConfig
+from simulate.driver import Motion, drive_route
+from simulate.render import Renderer, RenderOptions, View, camera_poses, rotation_from_angles
+from simulate.scenario import Scenario, load_scenario
+from simulate.traffic import make_traffic, moving_mesh
+from simulate.truth import write_truth
+from simulate.world import World, make_world
+
+Floats = NDArray[np.float64]
+WHEELBASE_M = 2.71
+# body angles per acceleration: about 3 degrees of pitch and 4.5 of roll a g
+_PITCH_PER_MPS2, _ROLL_PER_MPS2 = 0.005, 0.008
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All of a simulated drive but its pictures; the same scenario and seed give the same plan."""
+
+    scenario: Scenario
+    seed: int
+    config: SimulateConfig
+    laps: int
+    motion: Motion
+    frame_stamps_s: Floats
+    frame_arrivals_s: Floats
+    body_rad: Floats
+    exposure_log: Floats
+
+    @property
+    def origin_m(self) -> Floats:
+        """The world's origin in the drive's frame."""
+        return np.array([self.scenario.origin_east_m, self.scenario.origin_north_m])
+
+
+def make_plan(
+    world: World, scenario: Scenario, laps: int, seed: int, config: SimulateConfig
+) -> Plan:
+    """Drives the route and decides when pictures are taken."""
+    motion = drive_route(world.route, scenario.drive, laps, np.random.default_rng([seed, 20]))
+    rng = np.random.default_rng([seed, 21])
+    stamps, arrivals = sensors.frame_times(motion, config.camera.frame_rate_hz, config.latency, rng)
+    bumps = sensors.gauss_markov(stamps, 0.0022, 0.3, rng, 2)
+    bumps *= np.minimum(motion.value("speed_mps", stamps) / 5.0, 1.0)[:, None]
+    wander = sensors.gauss_markov(stamps, config.camera.exposure_wander, 4.0, rng)[:, 0]
+    return Plan(scenario, seed, config, laps, motion, stamps, arrivals, bumps, wander)
+
+
+class Studio:
+    """Takes the pictures of a plan; every picture depends on the seed and its number alone."""
+
+    def __init__(self, plan: Plan, world: World, threads: int) -> None:
+        quality = plan.config.render
+        options = RenderOptions(quality.edge_rays, quality.shadows, quality.shadow_rays, threads)
+        self.plan, self.world = plan, world
+        self.renderer = Renderer(world, plan.config.camera.rig(), options)
+        self._movers = make_traffic(world, plan.motion, np.random.default_rng([plan.seed, 30]))
+        rng = np.random.default_rng([plan.seed, 31])
+        self._units = make_units(plan.config.camera, rng)
+        tilt = np.deg2rad(plan.config.camera.calibration_error_deg) * rng.standard_normal(3)
+        self._tilt = rotation_from_angles(*tilt)
+
+    def views(self, number: int) -> tuple[View, View]:
+        """What both cameras see in picture `number`."""
+        plan = self.plan
+        stamp = plan.frame_stamps_s[number : number + 1]
+        x, y, yaw = plan.motion.at(stamp)[0]
+        lateral = float(plan.motion.value("lateral_m", stamp)[0])
+        push = float(plan.motion.value("acceleration_mps2", stamp)[0])
+        swing = float(
+            plan.motion.value("speed_mps", stamp)[0] * plan.motion.value("yaw_rate_radps", stamp)[0]
+        )
+        section = self.world.section
+        roll = (
+            np.arctan(section.slope_at(lateral)) + _ROLL_PER_MPS2 * swing + plan.body_rad[number, 0]
+        )
+        pitch = -_PITCH_PER_MPS2 * push + plan.body_rad[number, 1]
+        place = np.array([x, y, float(section.height_at(lateral))])
+        rig = self.renderer.rig
+        poses = camera_poses(rig, place, rotation_from_angles(yaw, pitch, roll), self._tilt)
+        moving = moving_mesh(self._movers, self.world, float(stamp[0]))
+        return self.renderer.pair(poses, moving)
+
+    def picture(self, number: int, views: tuple[View, View] | None = None) -> tuple[Image, Image]:
+        """The digital pair of picture `number`."""
+        views = views or self.views(number)
+        camera = self.plan.config.camera
+        gain = exposure_of(views[0].irradiance, camera, float(self.plan.exposure_log[number]))
+        pair = [
+            expose(
+                view.irradiance,
+                gain,
+                unit,
+                camera,
+                np.random.default_rng([self.plan.seed, 40, number, side]),
+            )
+            for side, (view, unit) in enumerate(zip(views, self._units, strict=True))
+        ]
+        return pair[0], pair[1]
+
+
+_studio: Studio | None = None
+
+
+def _open_studio(scenario: Scenario, laps: int, seed: int, config: SimulateConfig) -> None:
+    global _studio
+    cv2.setNumThreads(1)
+    world = make_world(scenario, seed)
+    _studio = Studio(make_plan(world, scenario, laps, seed, config), world, 1)
+
+
+def _take(number: int) -> tuple[Image, Image]:
+    if _studio is None:
+        raise RuntimeError("the worker was not opened")
+    return _studio.picture(number)
+
+
+def pictures(plan: Plan, world: World) -> Iterator[tuple[Image, Image]]:
+    """All pairs of a plan in order, rendered by as many processes as the settings say."""
+    count = len(plan.frame_stamps_s)
+    workers = plan.config.render.workers or min(cpu_count() or 1, 8)
+    if workers == 1 or count < 24:
+        studio = Studio(plan, world, 1 if workers == 1 else 0)
+        for number in range(count):
+            yield studio.picture(number)
+        return
+    job = (plan.scenario, plan.laps, plan.seed, plan.config)
+    with ProcessPoolExecutor(workers, get_context("spawn"), _open_studio, job) as pool:
+        yield from pool.map(_take, range(count), chunksize=4)
+
+
+def simulate_drive(
+    scenario: Scenario | str | Path,
+    out: Path,
+    laps: int = 1,
+    seed: int = 0,
+    config: SimulateConfig | None = None,
+    *,
+    objects: bool = False,
+    images: bool = True,
+    advance: Callable[[int], None] | None = None,
+    limit: Callable[[int], None] | None = None,
+) -> Path:
+    """Writes a simulated drive as a plain drive folder.
+
+    Args:
+        scenario: a loaded scenario, the name of a world or a YAML file.
+        out: the folder that appears.
+        laps: rounds of a closed route.
+        objects: also write the true poles (`objects.geojson`) and the true motion (`truth.csv`).
+        images: without them the drive has odometry, GNSS and reference only.
+        advance: called with 1 after every stereo pair.
+        limit: called once with the number of pairs.
+
+    Raises:
+        InputError, ConfigError: what the scenario or the target folder lacks.
+    """
+    config = config or SimulateConfig()
+    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    world = make_world(chosen, seed)
+    plan = make_plan(world, chosen, laps, seed, config)
+    frame = EarthFrame("utm", epsg=chosen.epsg)
+    antenna = np.array([config.gnss.antenna_x_m, config.gnss.antenna_y_m])
+    notes = [f"simulated: world {chosen.name}, seed {seed}, {laps} laps"]
+    with folder_writer(
+        Path(out),
+        name=f"{chosen.name}_{seed}",
+        frame=frame,
+        wheelbase_m=WHEELBASE_M,
+        rig=config.camera.rig() if images else None,
+        gnss_antenna_m=antenna,
+        notes=notes,
+    ) as writer:
+        if images:
+            if limit is not None:
+                limit(len(plan.frame_stamps_s))
+            for number, (left, right) in enumerate(pictures(plan, world)):
+                writer.frame(
+                    float(plan.frame_stamps_s[number]),
+                    float(plan.frame_arrivals_s[number]),
+                    left,
+                    right,
+                )
+                if advance is not None:
+                    advance(1)
+        rng = np.random.default_rng([seed, 22])
+        writer.odometry(sensors.odometry(plan.motion, config.odometry, rng))
+        writer.gnss(sensors.gnss(plan.motion, plan.origin_m, config.gnss, rng))
+        writer.reference(sensors.reference(plan.motion, plan.origin_m, config.reference, rng))
+        starts = plan.motion.lap_starts_s
+        writer.laps(
+            Lap(f"lap_{k + 1}", float(a), float(b)) for k, (a, b) in enumerate(pairwise(starts))
+        )
+        if objects:
+            write_truth(writer.folder, frame, world, plan.motion, plan.origin_m)
+    return Path(out)

@@ -1,0 +1,164 @@
+"""The driver: which line is driven how fast, with stops, wander and evasions, lap after lap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from drivelog.errors import ConfigError
+from simulate.route import Route
+from simulate.scenario import DriveSpec
+
+Floats = NDArray[np.float64]
+STEP_S = 0.005
+_GRID_M = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """The true motion of the rear axle, every 5 ms; every array `(n,)`.
+
+    Attributes:
+        stamp_s: from 0.
+        pose: `(n, 3)` x, y, yaw (unwrapped) in the world's local metres.
+        speed_mps, yaw_rate_radps, acceleration_mps2: along and about the rear axle.
+        lateral_m: position left of the route's centre line.
+        wander_m: what the driver strays from the lane's middle, left positive.
+        station_m: along the route, growing over the laps.
+        lap_starts_s: start of each lap, and the end of the last.
+    """
+
+    stamp_s: Floats
+    pose: Floats
+    speed_mps: Floats
+    yaw_rate_radps: Floats
+    acceleration_mps2: Floats
+    lateral_m: Floats
+    wander_m: Floats
+    station_m: Floats
+    lap_starts_s: Floats
+
+    def at(self, stamps_s: Floats) -> Floats:
+        """True poses `(m, 3)`, yaw unwrapped, linear between the 5 ms."""
+        return np.stack([np.interp(stamps_s, self.stamp_s, self.pose[:, k]) for k in range(3)], 1)
+
+    def value(self, name: str, stamps_s: Floats) -> Floats:
+        """One of the other arrays at the stamps."""
+        return np.asarray(np.interp(stamps_s, self.stamp_s, getattr(self, name)))
+
+
+def drive_route(
+    route: Route, spec: DriveSpec, laps: int, rng: np.random.Generator, dense: Floats | None = None
+) -> Motion:
+    """Drives `laps` laps of a closed route, or once along an open one.
+
+    Raises:
+        ConfigError: several laps of an open route.
+    """
+    if laps > 1 and not route.closed:
+        raise ConfigError(f"--laps {laps}: the route of this world is open, it has one lap only")
+    margin = 0.0 if route.closed else 2.0
+    total = route.length_m * laps - 2 * margin
+    station = np.arange(0.0, total + _GRID_M, _GRID_M)
+    wander = _wander(station, route.length_m, laps, spec, rng)
+    lateral = spec.lane_offset_m + wander
+    stops = [lap * route.length_m + stop for lap in range(laps) for stop in [0.0, *spec.stops_m]]
+    speed = _speed(route, station, margin, stops, spec, rng)
+    time, at = _schedule(station, speed, stops, spec)
+    stamps = np.arange(0.0, time[-1], STEP_S)
+    travelled = gaussian_filter1d(np.interp(stamps, time, at), 0.15 / STEP_S, mode="nearest")
+    line = route.at(station + margin, lateral)[:, :2]
+    fine = np.stack([np.interp(travelled, station, line[:, k]) for k in (0, 1)], axis=1)
+    tangent = np.gradient(line, axis=0)
+    heading = gaussian_filter1d(
+        np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0])), 1.2 / _GRID_M, mode="nearest"
+    )
+    yaw = np.interp(travelled, station, heading)
+    stretch = np.hypot(tangent[:, 0], tangent[:, 1]) / _GRID_M
+    stretch[0], stretch[-1] = stretch[1], stretch[-2]
+    rate = np.gradient(travelled, STEP_S)
+    velocity = rate * np.interp(travelled, station, stretch)
+    starts = np.interp(np.arange(laps + 1) * route.length_m - 1e-6, at, time)
+    # the standstill belongs to the lap that it opens
+    first = [float(time[np.searchsorted(at, k * route.length_m - 1e-9)]) for k in range(laps)]
+    return Motion(
+        stamps,
+        np.column_stack([fine, yaw]),
+        velocity,
+        np.gradient(yaw, STEP_S),
+        np.gradient(velocity, STEP_S),
+        np.interp(travelled, station, lateral),
+        np.interp(travelled, station, wander),
+        travelled + margin,
+        np.array([*first, min(float(starts[-1]), float(stamps[-1]))]),
+    )
+
+
+def _wander(
+    station: Floats, lap_m: float, laps: int, spec: DriveSpec, rng: np.random.Generator
+) -> Floats:
+    """Smooth straying from the lane's middle, of another strength in every lap, plus evasions."""
+    noise = rng.standard_normal(len(station))
+    smooth = 0.8 * _unit(gaussian_filter1d(noise, 11.0 / _GRID_M, mode="nearest"))
+    smooth += 0.6 * _unit(
+        gaussian_filter1d(rng.standard_normal(len(station)), 35.0 / _GRID_M, mode="nearest")
+    )
+    strength = rng.uniform(*spec.wander_sd_m, laps)[
+        np.minimum((station / lap_m).astype(np.int64), laps - 1)
+    ]
+    smooth = 2.5 * np.tanh(smooth / 2.5)
+    wander = smooth * gaussian_filter1d(strength, 8.0 / _GRID_M, mode="nearest")
+    for _ in range(int(rng.poisson(spec.evasions * laps))):
+        middle, width = rng.uniform(25.0, max(26.0, station[-1] - 25.0)), rng.uniform(6.0, 9.0)
+        bulge = np.exp(-0.5 * ((station - middle) / width) ** 2)
+        wander = wander + rng.uniform(1.0, 1.7) * bulge
+    return np.asarray(wander)
+
+
+def _unit(values: Floats) -> Floats:
+    return np.asarray(values / max(float(values.std()), 1e-12))
+
+
+def _speed(
+    route: Route,
+    station: Floats,
+    margin: float,
+    stops: list[float],
+    spec: DriveSpec,
+    rng: np.random.Generator,
+) -> Floats:
+    """Speed over the way: limit, bends, stops, and what the car can gain or shed."""
+    bend = np.abs(route.curvature_at(station + margin))
+    mood = 1 + 0.08 * _unit(gaussian_filter1d(rng.standard_normal(len(station)), 60.0 / _GRID_M))
+    limit = np.minimum(
+        spec.speed_mps * mood, np.sqrt(spec.lateral_acceleration_mps2 / np.maximum(bend, 1e-4))
+    )
+    for stop in [*stops, float(station[-1])]:
+        limit[np.argmin(np.abs(station - stop))] = 0.0
+    square = limit**2
+    gain = 2 * spec.acceleration_mps2 * _GRID_M
+    for order in (range(1, len(square)), range(len(square) - 2, -1, -1)):
+        back = -1 if order.step > 0 else 1
+        for i in order:
+            square[i] = min(square[i], square[i + back] + gain)
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+
+def _schedule(
+    station: Floats, speed: Floats, stops: list[float], spec: DriveSpec
+) -> tuple[Floats, Floats]:
+    """Time at which each place is reached, with the standstill at every stop spelled out."""
+    mean = np.maximum((speed[1:] + speed[:-1]) / 2, 0.15)
+    time = np.concatenate([[0.0], np.cumsum(np.diff(station) / mean)])
+    at = station.copy()
+    for stop in sorted(stops, reverse=True):
+        i = int(np.argmin(np.abs(station - stop)))
+        time[i + 1 :] += spec.standstill_s
+        time = np.insert(time, i + 1, time[i] + spec.standstill_s)
+        at = np.insert(at, i + 1, station[i])
+        # indices above i moved by one, those of the earlier stops did not
+        station = at
+    return np.asarray(time), np.asarray(at)

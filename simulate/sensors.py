@@ -1,0 +1,128 @@
+"""Wheel odometry, yaw gyro, GNSS and reference systems, from the true motion with errors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
+from simulate.driver import Motion
+from vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+
+
+def gauss_markov(
+    stamps_s: Floats, sd: float, time_s: float, rng: np.random.Generator, columns: int = 1
+) -> Floats:
+    """Exponentially correlated noise `(n, columns)` of stationary sd `sd`."""
+    if len(stamps_s) == 0:
+        return np.zeros((0, columns))
+    keep = np.exp(-np.diff(stamps_s, prepend=stamps_s[0]) / time_s)
+    kick = (
+        rng.standard_normal((len(stamps_s), columns))
+        * (sd * np.sqrt(np.maximum(1 - keep**2, 0.0)))[:, None]
+    )
+    kick[0] = sd * rng.standard_normal(columns)
+    out = np.empty_like(kick)
+    state = np.zeros(columns)
+    for i in range(len(stamps_s)):
+        state = keep[i] * state + kick[i]
+        out[i] = state
+    return np.asarray(out)
+
+
+def arrivals(
+    stamps_s: Floats, latency_s: float, jitter_s: float, rng: np.random.Generator
+) -> Floats:
+    """Arrival times: a fixed latency plus jitter that is never negative."""
+    return np.asarray(stamps_s + latency_s + np.abs(rng.normal(0.0, 1.0, len(stamps_s))) * jitter_s)
+
+
+def odometry(motion: Motion, config: OdometryConfig, rng: np.random.Generator) -> OdometryStream:
+    """Encoder speed (scale, slip, ticks, noise) and gyro yaw rate (scale, drifting bias, noise)."""
+    stamps = np.arange(0.0, motion.stamp_s[-1], 1.0 / config.rate_hz)
+    speed = motion.value("speed_mps", stamps)
+    push = motion.value("acceleration_mps2", stamps)
+    rate = motion.value("yaw_rate_radps", stamps)
+    scale = 1 + config.speed_scale_sd * rng.standard_normal()
+    noise = rng.standard_normal(len(stamps))
+    moving = speed > 0.05
+    rolled = speed * scale * (1 + config.slip_per_mps2 * push)
+    rolled += np.where(moving, config.speed_noise_sd_mps * noise, 0.0)
+    if config.tick_m > 0:
+        # the encoder counts whole ticks; the last part of one waits for the next reading
+        way = np.cumsum(np.maximum(rolled, 0.0)) / config.rate_hz
+        fine = config.tick_m / 16
+        counted = np.floor(way / fine) * fine
+        rolled = np.diff(counted, prepend=0.0) * config.rate_hz
+    bias = config.yaw_bias_sd_radps * rng.standard_normal()
+    drift = np.cumsum(rng.standard_normal(len(stamps))) * (
+        config.yaw_bias_drift_radps_sqrt_s / np.sqrt(config.rate_hz)
+    )
+    turned = rate * (1 + config.yaw_scale_sd * rng.standard_normal()) + bias + drift
+    turned = turned + config.yaw_noise_sd_radps * rng.standard_normal(len(stamps))
+    late = arrivals(stamps, config.latency_s, config.jitter_s, rng)
+    return OdometryStream(stamps, late, rolled, turned)
+
+
+def gnss(
+    motion: Motion, origin_m: Floats, config: GnssConfig, rng: np.random.Generator
+) -> GnssStream:
+    """Fixes of a cheap receiver; multipath comes as jumps that hold for some seconds."""
+    end = motion.stamp_s[-1]
+    stamps = np.arange(rng.uniform(0, 1 / config.rate_hz), end, 1.0 / config.rate_hz)
+    pose = motion.at(stamps)
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    antenna = pose[:, :2] + np.stack(
+        [
+            c * config.antenna_x_m - s * config.antenna_y_m,
+            s * config.antenna_x_m + c * config.antenna_y_m,
+        ],
+        axis=1,
+    )
+    error = gauss_markov(stamps, config.wander_sd_m, config.wander_time_s, rng, 2)
+    error += config.noise_sd_m * rng.standard_normal((len(stamps), 2))
+    hdop = 0.9 + 0.2 * np.abs(gauss_markov(stamps, 1.0, 30.0, rng)[:, 0])
+    for _ in range(int(rng.poisson(config.multipath_per_min * end / 60))):
+        start, length = rng.uniform(0, end), rng.exponential(config.multipath_time_s)
+        jump = config.multipath_sd_m * rng.standard_normal(2)
+        during = (stamps >= start) & (stamps < start + length)
+        error[during] += jump
+        # the receiver notices only part of it
+        hdop[during] += rng.uniform(0.2, 1.2) * np.hypot(*jump) / config.multipath_sd_m
+    seen = np.ones(len(stamps), dtype=np.bool_)
+    for _ in range(int(rng.poisson(config.outages_per_min * end / 60))):
+        start = rng.uniform(10.0, max(10.0, end))
+        seen &= ~((stamps >= start) & (stamps < start + rng.exponential(config.outage_s)))
+    place = antenna + error + origin_m
+    late = arrivals(stamps, config.latency_s, config.jitter_s, rng)
+    return GnssStream(stamps[seen], late[seen], place[seen, 0], place[seen, 1], hdop[seen])
+
+
+def reference(
+    motion: Motion, origin_m: Floats, config: ReferenceConfig, rng: np.random.Generator
+) -> ReferenceStream:
+    """Reference poses: correlated errors of centimetres, or a drift of a metre."""
+    stamps = np.arange(0.0, motion.stamp_s[-1], 1.0 / config.rate_hz)
+    pose = motion.at(stamps)
+    good = config.kind == "good"
+    sd = config.good_sd_m if good else config.drift_sd_m
+    time_s = 40.0 if good else config.drift_time_s
+    yaw_sd = config.good_yaw_sd_rad if good else config.drift_yaw_sd_rad
+    pose[:, :2] += gauss_markov(stamps, sd, time_s, rng, 2) + origin_m
+    pose[:, 2] = wrap_angle(pose[:, 2] + gauss_markov(stamps, yaw_sd, time_s, rng)[:, 0])
+    return ReferenceStream(stamps, pose, np.full(len(stamps), max(sd, 1e-3)))
+
+
+def frame_times(
+    motion: Motion, rate_hz: float, config: LatencyConfig, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Exposure and arrival of every picture that arrives at all."""
+    stamps = np.arange(0.05, motion.stamp_s[-1] - 0.05, 1.0 / rate_hz)
+    base = rng.uniform(config.camera_min_s, config.camera_max_s)
+    late = arrivals(stamps, base, config.camera_jitter_s, rng)
+    late = np.minimum(late, stamps + config.camera_max_s + 0.05)
+    kept = rng.uniform(size=len(stamps)) >= config.camera_drop_share
+    return stamps[kept], np.maximum.accumulate(late)[kept]

@@ -1,0 +1,69 @@
+"""What is true: the poles as a map, every standing object, the motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.frames import EarthFrame
+from polemap.io import write_map
+from polemap.landmark_map import PoleMap
+from simulate.driver import Motion
+from simulate.world import World
+from vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+# the truth has no spread; a map needs one that can be inverted
+_TRUTH_SD_M = 0.001
+_EVERY = 4
+
+
+def true_map(world: World, frame: EarthFrame, origin_m: Floats) -> PoleMap:
+    """The poles of a world as a pole map in the drive's frame."""
+    poles = world.poles()
+    count = len(poles)
+    points = np.array([[p.x_m, p.y_m] for p in poles]).reshape(-1, 2) + origin_m
+    return PoleMap(
+        frame=frame,
+        ids=np.array([p.owner for p in poles], dtype=np.int64),
+        points_m=points,
+        covariance_m2=np.broadcast_to(np.eye(2) * _TRUTH_SD_M**2, (count, 2, 2)).copy(),
+        width_m=np.array([p.width_m for p in poles]),
+        height_m=np.array([p.height_m for p in poles]),
+        observations=np.ones(count, dtype=np.int64),
+        drives=np.ones(count, dtype=np.int64),
+        existence=np.ones(count),
+    )
+
+
+def write_truth(
+    folder: Path, frame: EarthFrame, world: World, motion: Motion, origin_m: Floats
+) -> None:
+    """Writes objects.geojson (poles, map format), standing.csv (all objects) and truth.csv."""
+    write_map(true_map(world, frame, origin_m), folder / "objects.geojson")
+    lines = ["id,kind,pole,east_m,north_m,width_m,height_m"]
+    for o in world.objects:
+        east, north = o.x_m + origin_m[0], o.y_m + origin_m[1]
+        lines.append(
+            f"{o.owner},{o.kind},{int(o.pole)},{east:.4f},{north:.4f},{o.width_m:.3f},{o.height_m:.3f}"
+        )
+    (folder / "standing.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    rows = slice(None, None, _EVERY)
+    pose = motion.pose[rows].copy()
+    pose[:, :2] += origin_m
+    table = np.column_stack(
+        [
+            motion.stamp_s[rows],
+            pose[:, :2],
+            wrap_angle(pose[:, 2]),
+            motion.speed_mps[rows],
+            motion.yaw_rate_radps[rows],
+            motion.station_m[rows],
+            motion.lateral_m[rows],
+            motion.wander_m[rows],
+        ]
+    )
+    header = "stamp_s,east_m,north_m,yaw_rad,speed_mps,yaw_rate_radps,station_m,lateral_m,wander_m"
+    np.savetxt(folder / "truth.csv", table, fmt="%.6f", delimiter=",", header=header, comments="")

@@ -1,0 +1,166 @@
+"""A world on one screen: route, ground, houses, furniture, light, from a scenario and a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.errors import ConfigError
+from simulate.buildings import backdrop, house
+from simulate.ground import kerb_m, make_ground, make_section
+from simulate.mesh import Mesh, join
+from simulate.objects import MAKERS, Maker, Wish
+from simulate.route import CrossSection, Route, make_route
+from simulate.scenario import HousesSpec, RowSpec, Scenario
+from simulate.vehicles import PARKED
+
+Floats = NDArray[np.float64]
+KINDS: dict[str, Maker] = {**MAKERS, **PARKED}
+
+
+@dataclass(frozen=True, slots=True)
+class WorldObject:
+    """A standing object of the truth.
+
+    `x_m, y_m` is the axis at ground level in the world's local metres; `owner` the id in the
+    rendered object-id pictures.
+    """
+
+    owner: int
+    kind: str
+    pole: bool
+    x_m: float
+    y_m: float
+    width_m: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Everything that stands still."""
+
+    scenario: Scenario
+    seed: int
+    route: Route
+    section: CrossSection
+    mesh: Mesh
+    objects: tuple[WorldObject, ...]
+
+    def poles(self) -> tuple[WorldObject, ...]:
+        """The objects that belong into a pole map."""
+        return tuple(o for o in self.objects if o.pole)
+
+
+def make_world(scenario: Scenario, seed: int, removed: frozenset[int] = frozenset()) -> World:
+    """Builds the world; `removed` leaves out objects by their id without moving any other.
+
+    Raises:
+        ConfigError: a row names a kind that does not exist, or the route cannot be drawn.
+    """
+    route = make_route(
+        scenario.route.corners_m, scenario.route.corner_radius_m, scenario.route.closed
+    )
+    section = make_section(scenario.section)
+    parts = [make_ground(route, section, scenario.section, np.random.default_rng([seed, 1]))]
+    objects: list[WorldObject] = []
+    blocked: list[tuple[float, float, float]] = []
+    for index, spec in enumerate(scenario.houses):
+        parts += _houses(spec, scenario, route, section, np.random.default_rng([seed, 2, index]))
+    for index, row in enumerate(scenario.rows):
+        maker = KINDS.get(row.kind)
+        if maker is None:
+            raise ConfigError(
+                f"scenario {scenario.name}: rows.{index}.kind is {row.kind!r}; "
+                f"known kinds: {', '.join(sorted(KINDS))}"
+            )
+        rng = np.random.default_rng([seed, 3, index])
+        for mesh, thing in _row(
+            row, maker, scenario, route, section, rng, blocked, len(objects) + 1
+        ):
+            objects.append(thing)
+            if thing.owner not in removed:
+                parts.append(mesh)
+    if scenario.backdrop:
+        centre = route.points_m.mean(axis=0)
+        reach = float(np.hypot(*(route.points_m - centre).T).max()) + 55
+        parts.append(
+            backdrop(np.random.default_rng([seed, 4]), (float(centre[0]), float(centre[1])), reach)
+        )
+    standing = tuple(o for o in objects if o.owner not in removed)
+    return World(scenario, seed, route, section, join(parts), standing)
+
+
+def _sides(side: str) -> tuple[float, ...]:
+    return {"left": (1.0,), "right": (-1.0,), "both": (1.0, -1.0)}[side]
+
+
+def _row(
+    row: RowSpec,
+    maker: Maker,
+    scenario: Scenario,
+    route: Route,
+    section: CrossSection,
+    rng: np.random.Generator,
+    blocked: list[tuple[float, float, float]],
+    first: int,
+) -> list[tuple[Mesh, WorldObject]]:
+    """The objects of one row; places that another object occupies stay empty."""
+    end = min(row.to_m or route.length_m, route.length_m)
+    made: list[tuple[Mesh, WorldObject]] = []
+    for side in _sides(row.side):
+        station = row.from_m + rng.uniform(0.1, 0.9) * row.spacing_m
+        if row.irregular == 0.0:
+            station = row.from_m + row.spacing_m / 2
+        while station < end:
+            step = row.spacing_m * (1 + row.irregular * rng.uniform(-0.8, 0.8))
+            offset = row.offset_m + rng.normal(0, 1) * row.offset_jitter_m
+            lateral = side * (kerb_m(scenario.section) + 0.17 + offset)
+            x, y, yaw = (float(v) for v in route.at(np.array(station), lateral))
+            wish = Wish(float(np.deg2rad(row.lean_deg)), row.height_m, row.radius_m)
+            made_one = maker(rng, wish)
+            station += step
+            reach = 2.2 if row.kind.startswith("parked_") else 0.45
+            long = row.kind in ("fence", "hedge")
+            crowded = any(np.hypot(x - a, y - b) < r + reach for a, b, r in blocked)
+            if rng.uniform() > row.keep or (crowded and not long):
+                continue
+            if not long:
+                blocked.append((x, y, reach))
+            owner = first + len(made)
+            height = float(section.height_at(lateral))
+            turn = yaw if side < 0 else yaw + np.pi
+            mesh = made_one.mesh.placed(x, y, height, turn).owned_by(owner)
+            thing = WorldObject(
+                owner, row.kind, made_one.pole, x, y, made_one.width_m, made_one.height_m
+            )
+            made.append((mesh, thing))
+    return made
+
+
+def _houses(
+    spec: HousesSpec,
+    scenario: Scenario,
+    route: Route,
+    section: CrossSection,
+    rng: np.random.Generator,
+) -> list[Mesh]:
+    """Houses with their fronts parallel to the street; none inside a tight bend."""
+    parts = []
+    for side in _sides(spec.side):
+        station = float(rng.uniform(0, 6))
+        while station < route.length_m - 8:
+            width = float(rng.uniform(*spec.width_m))
+            middle = np.array(station + width / 2)
+            built = house(rng, width, int(rng.integers(spec.storeys[0], spec.storeys[1] + 1)))
+            lateral = side * (kerb_m(scenario.section) + 0.17 + spec.setback_m)
+            x, y, yaw = (float(v) for v in route.at(middle, lateral))
+            stretch = 1.0 - side * abs(lateral) * float(route.curvature_at(middle))
+            station += width / max(stretch, 0.3) + float(rng.uniform(*spec.gap_m))
+            tight = side * float(route.curvature_at(middle)) > 0.02
+            if rng.uniform() > spec.keep or tight:
+                continue
+            base = float(section.height_at(lateral)) - 0.1
+            parts.append(built.mesh.placed(x, y, base, yaw if side < 0 else yaw + np.pi))
+    return parts

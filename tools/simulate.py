@@ -1,0 +1,56 @@
+"""`polemap simulate`: a drive through a simulated world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from simulate.drive import simulate_drive
+from simulate.scenario import scenario_names
+from tools.progress import progress
+from tools.settings import ConfigOption, SeedOption, SetOption, load_settings
+
+
+def command(
+    scenario: Annotated[str, typer.Argument(help="A world by its name, or a YAML file.")] = "",
+    out: Annotated[Path | None, typer.Option("--out", help="Folder that appears.")] = None,
+    laps: Annotated[int, typer.Option("--laps", min=1, help="Rounds of a closed route.")] = 1,
+    seed: SeedOption = 0,
+    objects: Annotated[
+        bool, typer.Option("--objects", help="Also write the true poles and the true motion.")
+    ] = False,
+    images: Annotated[bool, typer.Option(help="Render the stereo pairs.")] = True,
+    list_worlds: Annotated[bool, typer.Option("--list", help="Name the worlds.")] = False,
+    config: ConfigOption = None,
+    set_values: SetOption = None,
+) -> None:
+    """Write a simulated drive as a plain drive folder.
+
+    Examples:
+      polemap simulate park_loop --out drive --laps 3 --objects
+      polemap simulate avenue --out avenue --seed 7 --set simulate.camera.frame_rate_hz=22
+      polemap simulate my_street.yaml --out drive --no-images
+      polemap simulate --list
+
+    The same scenario, seed and settings give the same bytes. docs/simulator.md explains worlds,
+    sensors and faults.
+    """
+    if list_worlds:
+        typer.echo("\n".join(scenario_names()))
+        return
+    if not scenario or out is None:
+        raise typer.BadParameter("SCENARIO and --out are needed; --list names the worlds")
+    settings = load_settings(config, set_values)
+    with progress(None, f"simulating {scenario}") as advance:
+        simulate_drive(
+            scenario,
+            out,
+            laps,
+            seed,
+            settings.simulate,
+            objects=objects,
+            images=images,
+            advance=advance,
+        )
