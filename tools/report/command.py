@@ -1,0 +1,96 @@
+"""`polemap report`: repeatability and accuracy over laps and Monte Carlo runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivelog.errors import ConfigError
+from tools.progress import progress
+from tools.report.evaluate import RouteResult, evaluate_route, route_systems
+from tools.report.exclusions import parse_interval
+from tools.report.routes import open_routes
+from tools.report.runs import read_run_set
+from tools.report.write import write_report
+from tools.settings import SeedOption
+
+
+def command(
+    runs: Annotated[list[Path], typer.Argument(help="Run folders of 'polemap localize'.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the report.")],
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--exclude",
+            help="Leave out [ROUTE/]A:B (seconds of the recording) or [ROUTE/]Am:Bm (metres).",
+        ),
+    ] = None,
+    add: Annotated[
+        list[str] | None,
+        typer.Option("--add", help="Another system's trajectory: NAME=FILE.tum, same clock."),
+    ] = None,
+    latex: Annotated[bool, typer.Option("--latex", help="Write tables.tex too.")] = False,
+    seed: SeedOption = 0,
+) -> None:
+    """Report repeatability, accuracy, timing and events of runs, as a page and as JSON.
+
+    Examples:
+        polemap report runs/lap_2 --out report
+        polemap report runs/campus runs/avenue runs/suburb --out report --latex
+        polemap report runs/campus --add mine=slam.tum --exclude 410:450 --out report
+
+    Runs over the same course are one route; a route driven at least twice in one direction gets a
+    repeatability. docs/repeatability.md defines every figure.
+    """
+    intervals = [parse_interval(text) for text in exclude or []]
+    routes = open_routes([read_run_set(path) for path in runs], parse_added(add or []))
+    unknown = {i.route for i in intervals if i.route} - {route.name for route in routes}
+    if unknown:
+        known = ", ".join(route.name for route in routes)
+        raise ConfigError(f"--exclude: no route is called '{min(unknown)}'; there are: {known}")
+    total = sum(len(system.tracks) for route in routes for system in route_systems(route))
+    with progress(total, "measuring") as advance:
+        results = [evaluate_route(route, intervals, advance) for route in routes]
+    write_report(results, out, latex=latex, seed=seed)
+    typer.echo(screen_table(results))
+    typer.echo(f"wrote {out / 'report.html'} and {out / 'report.json'}")
+
+
+def parse_added(items: Sequence[str]) -> dict[str, Path]:
+    """`NAME=FILE` of every `--add`.
+
+    Raises:
+        ConfigError: not of that form, or a name twice or taken.
+    """
+    added: dict[str, Path] = {}
+    for item in items:
+        name, equals, path = item.partition("=")
+        if not (name and equals and path):
+            raise ConfigError(f"--add {item}: expected NAME=FILE.tum")
+        if name in added or name in ("pf", "kf", "reference", "truth"):
+            raise ConfigError(f"--add {item}: the name '{name}' is taken; choose another")
+        added[name] = Path(path)
+    return added
+
+
+def screen_table(results: Sequence[RouteResult]) -> str:
+    """The headline figures for the terminal."""
+    width = max(12, *(len(result.route.name) for result in results))
+    head = (
+        f"{'route':{width}}  {'system':12}  {'repeatability':>15}  {'lateral RMSE':>14}  laps  runs"
+    )
+    lines = [head]
+    for result in results:
+        laps = max((len(stretch.passes) for stretch in result.stretches), default=1)
+        for one in result.systems:
+            errors = [run["lateral_rmse_m"] for run in one.accuracy if run]
+            lateral = f"{sum(errors) / len(errors):.3f} m" if errors else "-"
+            repeated = f"{one.sd_m:.3f} m" if one.sd_m == one.sd_m else "-"
+            lines.append(
+                f"{result.route.name:{width}}  {one.system.name:12}  {repeated:>15}  "
+                f"{lateral:>14}  {laps:4d}  {len(one.repeatability):4d}"
+            )
+    return "\n".join(lines)

@@ -1,0 +1,312 @@
+"""The room on one screen: a route -> stretches -> deviations, errors and events of every system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from tools.report.accuracy import Errors, error_blocks, errors_against, summary
+from tools.report.bootstrap import Blocks
+from tools.report.exclusions import (
+    Exclusion,
+    UserInterval,
+    evasive_manoeuvres,
+    excluded_mask,
+    u_turns,
+    user_exclusions,
+)
+from tools.report.laps import Stretch, find_stretches
+from tools.report.repeatability import (
+    LEVEL,
+    Crossing,
+    Deviations,
+    Guide,
+    Repeatability,
+    crossings,
+    deviations,
+    guides_of,
+    repeatability,
+)
+from tools.report.routes import Recording, Route
+from tools.report.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+
+BLOCK_M = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """One line of the tables: a trajectory a run and recording, and where it came from.
+
+    `kind` is pf, kf, reference, truth or added; `tracks[run][recording]`.
+    """
+
+    name: str
+    kind: str
+    setting: str
+    tracks: tuple[tuple[Trajectory, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SystemResult:
+    """What the report says about one system on one route.
+
+    Attributes:
+        repeatability: one a run.
+        example: deviations of the first run, excluded parts left out.
+        blocks: squared centred deviations over `BLOCK_M` of road, for the bootstrap.
+        true_lateral_rms_m: per run, against the truth at the same station; empty without truth.
+        accuracy: per run, `accuracy.summary` over all recordings; empty without a reference.
+        errors: of the first run, one a recording.
+        error_blocks: by kind of error, for the bootstrap.
+    """
+
+    system: System
+    repeatability: tuple[Repeatability, ...]
+    example: tuple[Deviations, ...]
+    blocks: Blocks
+    true_lateral_rms_m: tuple[float, ...]
+    accuracy: tuple[dict[str, float], ...]
+    errors: tuple[Errors, ...]
+    error_blocks: dict[str, Blocks]
+
+    @property
+    def sd_m(self) -> float:
+        """Mean of the runs: the figure of the tables."""
+        return float(np.mean([one.sd_m for one in self.repeatability]))
+
+    @property
+    def spread_m(self) -> float:
+        """Standard deviation over the runs; NaN for one run."""
+        values = [one.sd_m for one in self.repeatability]
+        return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+
+    def interval_m(self) -> tuple[float, float]:
+        """95 % interval for the laps as a sample of all laps: chi-square, median freedom."""
+        freedom = float(np.median([one.freedom for one in self.repeatability]))
+        root = sqrt(float(np.mean([one.sd_m**2 for one in self.repeatability])))
+        if not freedom > 0.0 or not np.isfinite(root):
+            return (float("nan"), float("nan"))
+        high = float(chi2.ppf(0.5 + LEVEL / 2, freedom))
+        low = float(chi2.ppf(0.5 - LEVEL / 2, freedom))
+        return (root * sqrt(freedom / high), root * sqrt(freedom / low))
+
+
+@dataclass(frozen=True, slots=True)
+class RouteResult:
+    """Everything that the tables and pictures of one route need."""
+
+    route: Route
+    stretches: tuple[Stretch, ...]
+    crossed: tuple[tuple[Crossing, ...], ...]
+    judge: str
+    exclusions: tuple[Exclusion, ...]
+    systems: tuple[SystemResult, ...]
+    against: str | None
+    notes: tuple[str, ...]
+
+    def of_kind(self, kind: str) -> SystemResult | None:
+        """The first system of a kind."""
+        return next((one for one in self.systems if one.system.kind == kind), None)
+
+
+def evaluate_route(
+    route: Route,
+    intervals: Sequence[UserInterval] = (),
+    advance: Callable[[int], None] = lambda _steps: None,
+    max_runs: int | None = None,
+) -> RouteResult:
+    """Find the passes of a route, leave out what does not count, and measure every system."""
+    found_in = [recording.guide for recording in route.recordings]
+    stretches = find_stretches(found_in, route.named_laps())
+    guides = [guides_of(stretch, found_in) for stretch in stretches]
+    judge, judge_tracks = _judge(route.recordings)
+    crossed = [
+        crossings(stretch, judge_tracks, guide)
+        for stretch, guide in zip(stretches, guides, strict=True)
+    ]
+    exclusions = _exclusions(route.name, stretches, crossed, intervals)
+    masks = [excluded_mask(s, number, exclusions) for number, s in enumerate(stretches)]
+    truth = _tracks(route.recordings, "truth")
+    true_parts = _masked(stretches, truth, guides, masks) if truth else None
+    against = (
+        "truth" if truth else ("reference" if _tracks(route.recordings, "reference") else None)
+    )
+    results = []
+    for system in route_systems(route, max_runs):
+        results.append(_evaluate(system, route, stretches, masks, guides, true_parts, against))
+        advance(len(system.tracks))
+    notes = list(route.notes)
+    if not stretches:
+        notes.append(
+            f"{route.name}: no road was driven twice in the same direction: no repeatability"
+        )
+    return RouteResult(
+        route,
+        tuple(stretches),
+        tuple(tuple(one) for one in crossed),
+        judge,
+        tuple(exclusions),
+        tuple(results),
+        against,
+        tuple(notes),
+    )
+
+
+def route_systems(route: Route, max_runs: int | None = None) -> list[System]:
+    """Particle filter and output filter of every setting, reference, truth, and what was added."""
+    systems = []
+    for setting in route.setting_names:
+        sets = [recording.settings[setting] for recording in route.recordings]
+        count = min(len(one.runs) for one in sets)
+        count = count if max_runs is None else min(count, max_runs)
+        label = route.setting_mark(setting)
+        for kind in ("pf", "kf"):
+            tracks = tuple(
+                tuple(getattr(one.runs[run], kind) for one in sets) for run in range(count)
+            )
+            systems.append(System(f"{kind}{label}", kind, setting, tracks))
+    for kind in ("reference", "truth"):
+        track = _tracks(route.recordings, kind)
+        if track is not None:
+            systems.append(System(kind, kind, "", (track,)))
+    for name in dict.fromkeys(name for one in route.recordings for name in one.added):
+        nothing = Trajectory(np.empty(0), np.empty((0, 3)))
+        track = tuple(one.added.get(name, nothing) for one in route.recordings)
+        systems.append(System(name, "added", "", (track,)))
+    return systems
+
+
+def _judge(recordings: Sequence[Recording]) -> tuple[str, Sequence[Trajectory]]:
+    """The system that tells how the car was driven: the truth, the reference, else the output."""
+    for kind in ("truth", "reference"):
+        track = _tracks(recordings, kind)
+        if track is not None:
+            return kind, track
+    return "kf", [recording.guide for recording in recordings]
+
+
+def _tracks(recordings: Sequence[Recording], kind: str) -> tuple[Trajectory, ...] | None:
+    tracks = [getattr(recording, kind) for recording in recordings]
+    return None if any(track is None for track in tracks) else tuple(tracks)
+
+
+def _exclusions(
+    route: str,
+    stretches: Sequence[Stretch],
+    crossed: Sequence[Sequence[Crossing]],
+    intervals: Sequence[UserInterval],
+) -> list[Exclusion]:
+    found = user_exclusions(stretches, crossed, intervals, route)
+    for number, stretch in enumerate(stretches):
+        found.extend(Exclusion(number, None, a, b, "U-turn") for a, b in u_turns(stretch.path))
+        for one in evasive_manoeuvres(stretch, crossed[number]):
+            found.append(Exclusion(number, one.pass_row, one.start_m, one.end_m, one.reason))
+    return found
+
+
+def _masked(
+    stretches: Sequence[Stretch],
+    tracks: Sequence[Trajectory],
+    guides: Sequence[Sequence[Guide]],
+    masks: Sequence[NDArray[np.bool_]],
+) -> list[Deviations]:
+    return [
+        deviations(stretch, tracks, guide).masked(mask)
+        for stretch, guide, mask in zip(stretches, guides, masks, strict=True)
+    ]
+
+
+def _evaluate(
+    system: System,
+    route: Route,
+    stretches: Sequence[Stretch],
+    masks: Sequence[NDArray[np.bool_]],
+    guides: Sequence[Sequence[Guide]],
+    true_parts: Sequence[Deviations] | None,
+    against: str | None,
+) -> SystemResult:
+    repeated, example, squares, weights, true_rms = [], [], [], [], []
+    for number, tracks in enumerate(system.tracks):
+        parts = _masked(stretches, tracks, guides, masks)
+        repeated.append(repeatability(parts))
+        square, weight = _road_blocks(parts)
+        squares.append(square)
+        weights.append(weight)
+        if number == 0:
+            example = parts
+        if true_parts is not None and system.kind != "truth":
+            true_rms.append(
+                _rms([p.lateral_m - t.lateral_m for p, t in zip(parts, true_parts, strict=True)])
+            )
+    goals = _tracks(route.recordings, against) if against else None
+    per_run: list[list[Errors]] = []
+    if goals is not None and system.kind != against:
+        per_run = [
+            [errors_against(track, goal) for track, goal in zip(tracks, goals, strict=True)]
+            for tracks in system.tracks
+        ]
+    joined = [_join(one) for one in per_run]
+    return SystemResult(
+        system=system,
+        repeatability=tuple(repeated),
+        example=tuple(example),
+        blocks=Blocks(np.array(squares), np.array(weights)),
+        true_lateral_rms_m=tuple(true_rms),
+        accuracy=tuple(summary(one) for one in joined),
+        errors=tuple(per_run[0]) if per_run else (),
+        error_blocks=_error_blocks(per_run, [one.guide for one in route.recordings]),
+    )
+
+
+def _road_blocks(parts: Sequence[Deviations]) -> tuple[Floats, Floats]:
+    """Squares and degrees of freedom over `BLOCK_M` of road, stretch after stretch."""
+    squares, weights = [np.zeros(0)], [np.zeros(0)]
+    for part in parts:
+        block = (part.stretch.path.station_m / BLOCK_M).astype(np.int64)
+        centred = np.nan_to_num(part.centred())
+        freedom = np.maximum(part.counted - 1, 0)
+        squares.append(np.bincount(block, (centred**2).sum(axis=0)).astype(np.float64))
+        weights.append(np.bincount(block, freedom).astype(np.float64))
+    return np.concatenate(squares), np.concatenate(weights)
+
+
+def _error_blocks(per_run: list[list[Errors]], guides: Sequence[Trajectory]) -> dict[str, Blocks]:
+    if not per_run:
+        return {}
+    result = {}
+    for kind in ("lateral_m", "longitudinal_m", "position_m", "yaw_rad"):
+        parts = [
+            error_blocks(
+                [run[number] for run in per_run],
+                kind,
+                float(guide.stamp_s[0]),
+                float(guide.stamp_s[-1]),
+            )
+            for number, guide in enumerate(guides)
+        ]
+        result[kind] = Blocks(
+            np.concatenate([p.squares for p in parts], axis=1),
+            np.concatenate([p.weights for p in parts], axis=1),
+        )
+    return result
+
+
+def _join(errors: Sequence[Errors]) -> Errors:
+    return Errors(
+        *(
+            np.concatenate([getattr(one, name) for one in errors])
+            for name in ("stamp_s", "lateral_m", "longitudinal_m", "yaw_rad")
+        )
+    )
+
+
+def _rms(parts: Sequence[Floats]) -> float:
+    values = np.concatenate([part[np.isfinite(part)] for part in parts]) if parts else np.empty(0)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

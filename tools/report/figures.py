@@ -1,0 +1,350 @@
+"""The pictures of one route."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from tools.report.evaluate import RouteResult, SystemResult
+from tools.report.exclusions import excluded_mask
+from tools.report.route_tables import KIND_NAMES, runs_of
+from tools.report.style import COLOURS, FAINT, INK, LAPS, SHADE, Picture, drawing, finish, tidy
+from tools.report.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+
+CLOSE_UP_M = 60.0
+MAX_POINTS = 1500
+
+
+def route_pictures(result: RouteResult, slug: str) -> list[Picture]:
+    """Every picture that the route has data for, in the order of the page."""
+    makers = (map_picture, close_up, lateral_along_route, monte_carlo, errors_over_time,
+              consistency, poles_along_route, timing_picture)  # fmt: skip
+    made = [maker(result, f"{slug}-{maker.__name__.replace('_', '-')}") for maker in makers]
+    return [picture for picture in made if picture is not None]
+
+
+def map_picture(result: RouteResult, key: str) -> Picture | None:
+    """All laps of the first run on the pole map."""
+    with drawing(8.0, 6.0) as figure:
+        axes = figure.add_subplot()
+        axes.set_aspect("equal", adjustable="datalim")
+        poles = result.route.pole_map
+        if poles is not None and len(poles):
+            points = near_points(poles.points_m, result)
+            axes.plot(*points.T, "o", ms=2.5, color=COLOURS["pole"], label="mapped poles", mew=0)
+        for one in drawn_systems(result):
+            for number, track in enumerate(one.system.tracks[0]):
+                line = track.thinned(0.5).poses
+                label = one.system.name if number == 0 else None
+                axes.plot(line[:, 0], line[:, 1], color=colour_of(one), lw=0.9, label=label)
+        tidy(axes, "east [m]", "north [m]")
+        axes.ticklabel_format(useOffset=False, style="plain")
+        axes.legend(loc="best", fontsize=8)
+        return finish(
+            figure, key, "Map and trajectories", "All laps of the first run, and the map's poles."
+        )
+
+
+def close_up(result: RouteResult, key: str) -> Picture | None:
+    """The source paper's Fig. 8: jitter of the particle filter against the smooth output."""
+    pf, kf = result.of_kind("pf"), result.of_kind("kf")
+    if pf is None or kf is None or not kf.example:
+        return None
+    path = kf.example[0].stretch.path
+    difference = np.nan_to_num(pf.example[0].lateral_m - kf.example[0].lateral_m)
+    window = max(min(int(CLOSE_UP_M / path.station_m[1]), len(path.station_m) - 1), 2)
+    power = np.cumsum(np.concatenate([[0.0], (difference**2).sum(axis=0)]))
+    first = int(np.argmax(power[window:] - power[:-window]))
+    part = slice(first, first + window)
+    shown = list(range(min(len(kf.example[0].lateral_m), 3)))
+    with drawing(8.0, 3.4) as figure:
+        axes = figure.add_subplot()
+        for row in shown:
+            colour = LAPS[row % len(LAPS)]
+            name = kf.example[0].stretch.passes[row].name
+            station = path.station_m[part]
+            axes.plot(station, 100 * pf.example[0].lateral_m[row, part], ".", ms=3, color=colour)
+            axes.plot(station, 100 * kf.example[0].lateral_m[row, part], color=colour, label=name)
+        tidy(axes, "station [m]", "to the left of the mean path [cm]")
+        axes.legend(fontsize=8, ncols=3, loc="upper left")
+        return finish(
+            figure,
+            key,
+            "Close-up: particle filter (dots) and output filter (lines)",
+            f"The {CLOSE_UP_M:.0f} m where the two differ most; {len(shown)} laps of one run.",
+        )
+
+
+def lateral_along_route(result: RouteResult, key: str) -> Picture | None:
+    """Deviation of every lap from the mean of the laps, for every system."""
+    shown = [one for one in result.systems if one.example and np.isfinite(one.sd_m)]
+    if not shown:
+        return None
+    stretch = result.stretches[0]
+    mask = excluded_mask(stretch, 0, result.exclusions)
+    with drawing(8.0, 1.2 + 1.6 * len(shown)) as figure:
+        all_axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, one in zip(all_axes, shown, strict=True):
+            values = 100 * one.example[0].centred()
+            for row in range(len(values)):
+                name = stretch.passes[row].name
+                axes.plot(
+                    *thin(stretch.path.station_m, values[row]),
+                    color=LAPS[row % len(LAPS)], lw=0.9, label=name,
+                )  # fmt: skip
+            shade_runs(axes, stretch.path.station_m, np.asarray(mask.any(axis=0)))
+            axes.axhline(0.0, color=FAINT, lw=0.6)
+            tidy(axes, "", "[cm]", f"{one.system.name}: {100 * one.sd_m:.1f} cm")
+        all_axes[-1].set_xlabel("station [m]")
+        if len(stretch.passes) <= 10:
+            all_axes[0].legend(fontsize=7, ncols=6, loc="upper right")
+        place = "" if len(result.stretches) == 1 else " Longest of the roads driven repeatedly."
+        return finish(
+            figure,
+            key,
+            "Lateral deviation along the route, per lap",
+            f"From the mean of the laps, first run; shaded: something is left out.{place}",
+        )
+
+
+def monte_carlo(result: RouteResult, key: str) -> Picture | None:
+    """The figure of every run beside its interval."""
+    shown = [one for one in result.systems if one.repeatability and np.isfinite(one.sd_m)]
+    if not shown or max(len(one.repeatability) for one in shown) < 2:
+        return None
+    with drawing(8.0, 0.9 + 0.42 * len(shown)) as figure:
+        axes = figure.add_subplot()
+        for place, one in enumerate(reversed(shown)):
+            values = 100 * np.array([run.sd_m for run in one.repeatability])
+            low, high = one.interval_m()
+            axes.plot([100 * low, 100 * high], [place, place], color=FAINT, lw=1.0)
+            shift = 0.28 * (np.arange(len(values)) % 7 - 3) / 3
+            axes.plot(values, place + shift, ".", ms=4, color=colour_of(one), mew=0)
+            axes.plot(values.mean(), place, "|", ms=16, mew=1.6, color=INK)
+        axes.set_yticks(range(len(shown)), [one.system.name for one in reversed(shown)])
+        axes.grid(visible=False, axis="y")
+        tidy(axes, "repeatability [cm]", "")
+        return finish(
+            figure,
+            key,
+            "Monte Carlo runs",
+            "Dots: runs; bar: their mean; line: 95 % interval for the laps as a sample.",
+        )
+
+
+def errors_over_time(result: RouteResult, key: str) -> Picture | None:
+    """Lateral and longitudinal error of the first run with the filter's own 3-sigma band."""
+    kf, pf = result.of_kind("kf"), result.of_kind("pf")
+    if kf is None or pf is None or not kf.errors or len(kf.errors[0].stamp_s) == 0:
+        return None
+    run = runs_of(result, kf.system.setting)[0][0]
+    major = run.health_numbers("position_sd_major_m", "sd_major_m")
+    stamp = run.health_numbers("stamp_s", "stamp")
+    begin = float(kf.errors[0].stamp_s[0])
+    with drawing(8.0, 4.6) as figure:
+        all_axes = figure.subplots(3, 1, sharex=True)
+        panels = (("lateral_m", "lateral [m]", 1.0), ("longitudinal_m", "longitudinal [m]", 1.0),
+                  ("yaw_rad", "yaw [°]", float(np.degrees(1.0))))  # fmt: skip
+        for axes, (kind, label, scale) in zip(all_axes, panels, strict=True):
+            if major is not None and stamp is not None and kind != "yaw_rad":
+                time, band = thin(stamp - begin, 3.0 * major)
+                axes.fill_between(time, -band, band, color=SHADE, lw=0, label="3σ of the PF")
+            for one in (pf, kf):
+                errors = one.errors[0]
+                time, values = thin(errors.stamp_s - begin, scale * getattr(errors, kind))
+                axes.plot(time, values, color=colour_of(one), lw=0.8, label=one.system.name)
+            limit = _robust_limit([scale * getattr(one.errors[0], kind) for one in (pf, kf)])
+            axes.set_ylim(-limit, limit)
+            tidy(axes, "", label)
+        all_axes[0].legend(fontsize=8, ncols=3, loc="upper right")
+        all_axes[-1].set_xlabel("time [s]")
+        return finish(
+            figure,
+            key,
+            f"Errors against the {result.against}",
+            "First run, first recording. Band: three times the larger position standard deviation "
+            "that the particle filter states.",
+        )
+
+
+def consistency(result: RouteResult, key: str) -> Picture | None:
+    """NIS of the gate, and NEES, over time, where the run kept them."""
+    kf = result.of_kind("kf")
+    if kf is None:
+        return None
+    run = runs_of(result, kf.system.setting)[0][0]
+    stamp = run.health_numbers("stamp_s", "stamp")
+    nis = run.health_numbers("nis", "gate_nis")
+    nees = run.health_numbers("nees", "pf_nees", "kf_nees")
+    series = [
+        (n, v) for n, v in (("NIS", nis), ("NEES", nees)) if v is not None and np.isfinite(v).any()
+    ]
+    if stamp is None or not series:
+        return None
+    with drawing(8.0, 1.0 + 1.6 * len(series)) as figure:
+        all_axes = figure.subplots(len(series), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (name, values) in zip(all_axes, series, strict=True):
+            good = np.isfinite(values) & (values > 0)
+            axes.plot(stamp[good] - stamp[0], values[good], ".", ms=2.5, color=COLOURS["pf"], mew=0)
+            axes.set_yscale("log")
+            for level, style in ((3.0, "-"), (11.34, "--")):
+                axes.axhline(level, color=INK, lw=0.8, ls=style)
+            share = float(np.mean(values[good] > 11.34)) if good.any() else 0.0
+            tidy(
+                axes,
+                "",
+                name,
+                f"{name}: mean {np.mean(values[good]):.2f}, {100 * share:.1f} % above 99 %",
+            )
+        all_axes[-1].set_xlabel("time [s]")
+        return finish(
+            figure,
+            key,
+            "Consistency: NIS and NEES",
+            "Three degrees of freedom: line at the expected mean 3, dashed at the 99 % quantile.",
+        )
+
+
+def poles_along_route(result: RouteResult, key: str) -> Picture | None:
+    """Poles seen, matched and expected at every update of the first run."""
+    kf = result.of_kind("kf")
+    if kf is None:
+        return None
+    run = runs_of(result, kf.system.setting)[0][0]
+    stamp = run.health_numbers("stamp_s", "stamp")
+    columns = (
+        (
+            "in view of the map",
+            FAINT,
+            run.health_numbers("in_view", "map_in_view", "map_poles_in_view"),
+        ),
+        ("seen", COLOURS["pf"], run.health_numbers("seen", "seen_poles")),
+        ("matched", COLOURS["kf"], run.health_numbers("matched", "matched_poles")),
+    )
+    if stamp is None or all(values is None for _, _, values in columns):
+        return None
+    track = run.kf
+    place = np.interp(stamp, track.stamp_s, track.travelled_m())
+    with drawing(8.0, 2.6) as figure:
+        axes = figure.add_subplot()
+        for name, colour, values in columns:
+            if values is not None:
+                distance, mean = binned(place, values, 10.0)
+                axes.plot(distance, mean, color=colour, label=name, drawstyle="steps-mid")
+        axes.set_ylim(bottom=0.0)
+        tidy(axes, "distance driven [m]", "poles per update")
+        axes.legend(fontsize=8, ncols=3)
+        return finish(
+            figure, key, "Pole observations along the route", "Means over 10 m, first run."
+        )
+
+
+def timing_picture(result: RouteResult, key: str) -> Picture | None:
+    """Histogram of the time an update takes by stage, or its quantiles where only they exist."""
+    runs = [run for group in runs_of(result, result.route.setting_names[0]) for run in group]
+    columns = {n: v for n, v in runs[0].timings.items() if n not in ("stamp_s", "stamp", "frame")}
+    if columns:
+        with drawing(8.0, 3.0) as figure:
+            axes = figure.add_subplot()
+            for number, name in enumerate(columns):
+                good = np.concatenate([r.timings[name] for r in runs if name in r.timings])
+                good = good[np.isfinite(good) & (good > 0)]
+                if len(good) == 0:
+                    continue
+                bins = np.geomspace(max(good.min(), 1e-3), good.max() * 1.01, 60)
+                axes.hist(
+                    good, bins.tolist(), histtype="step", color=LAPS[number % len(LAPS)], label=name
+                )
+            axes.set_xscale("log")
+            tidy(axes, "time of an update [ms]", "updates")
+            axes.legend(fontsize=8)
+            return finish(figure, key, "Processing time", "All runs.")
+    stages = [
+        (n, f) for n, f in runs[0].metrics.get("timing_ms", {}).items() if isinstance(f, dict)
+    ]
+    if not stages:
+        return None
+    with drawing(8.0, 1.0 + 0.35 * len(stages)) as figure:
+        axes = figure.add_subplot()
+        for place, (_, figures) in enumerate(reversed(stages)):
+            marks = [float(figures.get(q) or np.nan) for q in ("median", "p95", "p99")]
+            axes.plot([marks[0], marks[2]], [place, place], color=FAINT, lw=1.0)
+            for value, mark in zip(marks, ("o", "|", "|"), strict=True):
+                axes.plot(value, place, mark, color=COLOURS["kf"], ms=7 if mark == "|" else 5)
+        axes.set_yticks(range(len(stages)), [name for name, _ in reversed(stages)])
+        axes.set_xscale("log")
+        tidy(axes, "time [ms]", "")
+        return finish(figure, key, "Processing time", "Median (dot), p95 and p99, first run.")
+
+
+def drawn_systems(result: RouteResult) -> list[SystemResult]:
+    """Systems of the first setting, output filter last so that it lies on top."""
+    shown = [one for one in result.systems if one.system.setting == ""]
+    order = ("reference", "truth", "added", "pf", "kf")
+    return sorted(shown, key=lambda one: order.index(one.system.kind))
+
+
+def colour_of(one: SystemResult) -> str:
+    """The colour of a kind of system."""
+    return COLOURS[one.system.kind]
+
+
+def system_label(one: SystemResult) -> str:
+    """`kf (output filter)`, or the name that the user gave."""
+    if one.system.kind == "added":
+        return one.system.name
+    return f"{one.system.name} ({KIND_NAMES[one.system.kind]})"
+
+
+def near_points(points_m: Floats, result: RouteResult, margin_m: float = 60.0) -> Floats:
+    """The poles around the route, so that a city map does not shrink it to a dot."""
+    line = np.concatenate([one.guide.poses[:, :2] for one in result.route.recordings])
+    low, high = line.min(axis=0) - margin_m, line.max(axis=0) + margin_m
+    return points_m[np.all((points_m >= low) & (points_m <= high), axis=1)]
+
+
+def shade_runs(axes: Axes, station: Floats, mask: NDArray[np.bool_]) -> None:
+    """Shade the stations where `mask` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    for first, last in edges.reshape(-1, 2):
+        axes.axvspan(station[first], station[last - 1], color=SHADE, lw=0, zorder=0)
+
+
+def thin(x: Floats, y: Floats, most: int = MAX_POINTS) -> tuple[Floats, Floats]:
+    """At most `most` points; of every group the extremes stay, so that no peak disappears."""
+    if len(x) <= most:
+        return x, y
+    group = int(np.ceil(2 * len(x) / most))
+    count = len(x) // group
+    blocks = np.nan_to_num(y[: count * group]).reshape(count, group)
+    rows = np.column_stack([blocks.argmin(axis=1), blocks.argmax(axis=1)])
+    rows = np.sort(rows, axis=1) + group * np.arange(count)[:, None]
+    keep = np.unique(np.concatenate([rows.ravel(), [len(x) - 1]]))
+    return x[keep], y[keep]
+
+
+def binned(place: Floats, values: Floats, width: float) -> tuple[Floats, Floats]:
+    """Means of `values` over bins of `place`, at the middles of the bins."""
+    good = np.isfinite(place) & np.isfinite(values)
+    row = (place[good] / width).astype(np.int64)
+    count = np.bincount(row)
+    filled = count > 0
+    mean = np.bincount(row, values[good])[filled] / count[filled]
+    middle = (np.flatnonzero(filled) + 0.5) * width
+    return np.asarray(middle, dtype=np.float64), mean
+
+
+def _robust_limit(series: Sequence[Floats]) -> float:
+    """Axis limit that one excursion does not blow up: 1.5 times the 99.5 % quantile."""
+    largest = max((float(np.quantile(np.abs(v), 0.995)) for v in series if len(v)), default=1.0)
+    return max(1.5 * largest, 1e-3)
+
+
+def tracks_of(one: SystemResult) -> tuple[Trajectory, ...]:
+    """Trajectories of the first run."""
+    return one.system.tracks[0]

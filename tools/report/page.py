@@ -1,0 +1,70 @@
+"""The page: one HTML file that needs nothing else, safe against text that comes from drives."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from dataclasses import dataclass
+from importlib.resources import files
+
+from jinja2 import Environment, StrictUndefined
+
+from tools.report.interactive_map import InteractiveMap
+from tools.report.style import Picture, theme_css
+from tools.report.tables import Table
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsText:
+    """The settings of one run set, as they were used."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One route on the page."""
+
+    anchor: str
+    title: str
+    map: InteractiveMap | None
+    pictures: tuple[Picture, ...]
+    configs: tuple[SettingsText, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Everything that stands on the page, in its order."""
+
+    title: str
+    version: str
+    made: str
+    machine: str
+    head_tables: tuple[Table, ...]
+    tables: tuple[Table, ...]
+    pictures: tuple[Picture, ...]
+    sections: tuple[Section, ...]
+    notes: tuple[str, ...]
+
+
+def render_page(page: Page) -> str:
+    """The HTML text.
+
+    Every text passes through the template's escaping; the only unescaped parts are this
+    package's own style sheet and script, and pictures whose text their renderer has escaped. A
+    content security policy allows no script but that one, by its hash.
+    """
+    templates = files("tools.report") / "templates"
+    light, dark = theme_css()
+    css = (templates / "page.css").read_text(encoding="utf-8")
+    script = (templates / "page.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    template = environment.from_string((templates / "report.html.j2").read_text(encoding="utf-8"))
+    return template.render(
+        css=css.replace("@LIGHT@", light).replace("@DARK@", dark),
+        script=script,
+        script_hash=f"sha256-{digest}",
+        **{name: getattr(page, name) for name in Page.__dataclass_fields__},
+    )

@@ -1,0 +1,456 @@
+"""The tables of the report, filled from evaluated routes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial import KDTree
+
+from tools.report.evaluate import RouteResult, SystemResult
+from tools.report.laps import road_length_m
+from tools.report.runs import Run
+from tools.report.tables import Table, number, span, with_spread
+
+NEAR_ROUTE_M = 15.0
+EVENTS = ("reinitializations", "exploration_events", "gate_rejections", "late_dropped")
+KIND_NAMES = {
+    "pf": "particle filter",
+    "kf": "output filter",
+    "reference": "reference system",
+    "truth": "truth (driver's own wander)",
+    "added": "added",
+}
+
+
+def all_tables(results: Sequence[RouteResult], machine: str) -> list[Table]:
+    """Every table that the routes have something to say for."""
+    tables = [
+        repeatability_table(results),
+        route_table(results),
+        repeatability_details(results),
+        truth_table(results),
+        accuracy_table(results),
+        event_table(results),
+        timing_table(results, machine),
+        map_table(results),
+        exclusion_table(results),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def repeatability_table(results: Sequence[RouteResult]) -> Table:
+    """The source paper's Table II."""
+    rows = []
+    for result in results:
+        figures = {one.system.name: one for one in result.systems}
+        reference = figures.get("reference")
+        for setting in result.route.setting_names:
+            label = result.route.setting_mark(setting)
+            pf, kf = figures[f"pf{label}"], figures[f"kf{label}"]
+            rows.append(
+                (
+                    result.route.name + label,
+                    with_spread(pf.sd_m, pf.spread_m),
+                    with_spread(kf.sd_m, kf.spread_m),
+                    number(reference.sd_m) if reference else "–",
+                    passes_text(result),
+                    str(len(pf.repeatability)),
+                )
+            )
+    return Table(
+        "repeatability",
+        "Repeatability",
+        ("Route", "Particle filter [m]", "Output filter [m]", "Reference [m]", "Laps", "Runs"),
+        tuple(rows),
+        "Standard deviation of the lateral position over the laps. Mean ± standard deviation "
+        "over the Monte Carlo runs. It contains the driver's own wander.",
+    )
+
+
+def route_table(results: Sequence[RouteResult]) -> Table:
+    """The source paper's Table I, and pole density."""
+    rows = []
+    for result in results:
+        guides = [recording.guide for recording in result.route.recordings]
+        driven = sum(float(guide.travelled_m()[-1]) for guide in guides)
+        duration = sum(float(guide.stamp_s[-1] - guide.stamp_s[0]) for guide in guides)
+        course = sum(stretch.path.length_m for stretch in result.stretches)
+        rows.append(
+            (
+                result.route.name,
+                route_type(result),
+                number(course if course else None, 0),
+                number(driven, 0),
+                number(driven / duration if duration > 0 else None, 1),
+                passes_text(result),
+                number(poles_per_km(result), 1),
+                ", ".join(recording.name for recording in result.route.recordings),
+            )
+        )
+    return Table(
+        "routes",
+        "Routes",
+        (
+            "Route",
+            "Type",
+            "Course [m]",
+            "Driven [m]",
+            "Mean speed [m/s]",
+            "Laps",
+            "Poles per km",
+            "Runs in",
+        ),
+        tuple(rows),
+        f"Course: length of the road that was driven at least twice in one direction. Poles per "
+        f"km: mapped poles within {NEAR_ROUTE_M:.0f} m of the driven line.",
+        text_columns=2,
+    )
+
+
+def repeatability_details(results: Sequence[RouteResult]) -> Table:
+    """The estimator's inside: interval, bias, degrees of freedom."""
+    rows = []
+    for result in results:
+        for one in result.systems:
+            if not one.repeatability or not np.isfinite(one.sd_m):
+                continue
+            low, high = one.interval_m()
+            mean = _mean_of(one)
+            rows.append(
+                (
+                    result.route.name,
+                    one.system.name,
+                    with_spread(one.sd_m, one.spread_m),
+                    span(low, high),
+                    number(mean["unbiased_m"]),
+                    number(mean["population_m"]),
+                    number(mean["freedom"], 0),
+                    number(100.0 * mean["share"], 0),
+                )
+            )
+    return Table(
+        "repeatability-details",
+        "Repeatability in detail",
+        (
+            "Route",
+            "System",
+            "Repeatability [m]",
+            "95 % interval [m]",
+            "Free of bias [m]",
+            "Divided by L [m]",
+            "Effective freedom",
+            "Stations used [%]",
+        ),
+        tuple(rows),
+        "The interval is for the laps as a sample of all laps (chi-square with the effective "
+        "degrees of freedom). 'Free of bias' divides by c4; 'divided by L' is the estimator that "
+        "divides by the laps instead of laps − 1.",
+        text_columns=2,
+    )
+
+
+def truth_table(results: Sequence[RouteResult]) -> Table:
+    """How much of the measure is the driver: only where the truth is known."""
+    rows = []
+    for result in results:
+        truth = result.of_kind("truth")
+        if truth is None:
+            continue
+        for one in result.systems:
+            if one.true_lateral_rms_m:
+                values = one.true_lateral_rms_m
+                rows.append(
+                    (
+                        result.route.name,
+                        one.system.name,
+                        number(one.sd_m),
+                        number(truth.sd_m),
+                        with_spread(float(np.mean(values)), _spread(values)),
+                        number(float(np.hypot(truth.sd_m, np.mean(values)))),
+                    )
+                )
+    return Table(
+        "truth",
+        "How much of it is the driver",
+        (
+            "Route",
+            "System",
+            "Repeatability [m]",
+            "Driver's wander [m]",
+            "True lateral error [m]",
+            "Root of both squared [m]",
+        ),
+        tuple(rows),
+        "Wander: the repeatability of the true trajectory. True lateral error: root mean square at "
+        "the same stations. If error and wander are independent, the root of both squared is "
+        "the repeatability, except for errors that return on every lap.",
+        text_columns=2,
+    )
+
+
+def accuracy_table(results: Sequence[RouteResult]) -> Table:
+    """Errors against the truth or the reference."""
+    rows = []
+    for result in results:
+        for one in result.systems:
+            if not one.accuracy or not one.accuracy[0]:
+                continue
+            rows.append(
+                (
+                    result.route.name,
+                    one.system.name,
+                    result.against or "–",
+                    *(_over_runs(one, key) for key in ("lateral_rmse_m", "lateral_median_m")),
+                    _over_runs(one, "lateral_p95_m"),
+                    _over_runs(one, "longitudinal_rmse_m"),
+                    _over_runs(one, "position_rmse_m"),
+                    _over_runs(one, "position_p95_m"),
+                    _over_runs(one, "yaw_rmse_rad", scale=float(np.degrees(1.0)), digits=2),
+                    _nees(result, one),
+                )
+            )
+    sds = [r.reference_sd_m for result in results for r in result.route.recordings]
+    known = [sd for sd in sds if np.isfinite(sd)]
+    own = (
+        f"The reference states a standard deviation of {np.median(known):.3f} m (median)."
+        if known
+        else "The reference does not state its own uncertainty."
+    )
+    return Table(
+        "accuracy",
+        "Accuracy",
+        (
+            "Route",
+            "System",
+            "Against",
+            "Lateral RMSE [m]",
+            "median [m]",
+            "p95 [m]",
+            "Longitudinal RMSE [m]",
+            "Position RMSE [m]",
+            "p95 [m]",
+            "Yaw RMSE [°]",
+            "NEES / 3",
+        ),
+        tuple(rows),
+        f"At the stamps of the estimate, all recordings together; mean ± spread over runs. {own}",
+        text_columns=3,
+    )
+
+
+def event_table(results: Sequence[RouteResult]) -> Table:
+    """What happened to the filters, per run."""
+    rows = []
+    for result in results:
+        for setting in result.route.setting_names:
+            for_run = runs_of(result, setting)
+            counts = {
+                key: [sum(int(run.metrics.get(key, 0)) for run in runs) for runs in for_run]
+                for key in EVENTS
+            }
+            label = result.route.setting_mark(setting)
+            rows.append(
+                (
+                    result.route.name + label,
+                    *(f"{np.mean(counts[key]):.2f} ({max(counts[key])})" for key in EVENTS),
+                )
+            )
+    return Table(
+        "events",
+        "Events",
+        ("Route", "Re-initializations", "Exploration events", "Gate rejections", "Late, dropped"),
+        tuple(rows),
+        "Mean per run, and in brackets the most in one run.",
+    )
+
+
+def timing_table(results: Sequence[RouteResult], machine: str) -> Table:
+    """The source paper's Table III with quantiles, and the latency of the pose."""
+    rows: list[tuple[str, ...]] = []
+    for result in results:
+        setting = result.route.setting_names[0]
+        runs = [run for group in runs_of(result, setting) for run in group]
+        stages: dict[str, list[Mapping[str, float]]] = {}
+        for run in runs:
+            for stage, figures in run.metrics.get("timing_ms", {}).items():
+                if isinstance(figures, Mapping):
+                    stages.setdefault(stage, []).append(figures)
+        for stage, found in stages.items():
+            rows.append((result.route.name, stage, *_quantiles(found)))
+        lag = latency_ms(runs)
+        if lag is not None:
+            rows.append((result.route.name, "latency of the pose", *(number(v, 2) for v in lag)))
+        factors = [
+            run.metrics["real_time_factor"] for run in runs if "real_time_factor" in run.metrics
+        ]
+        if factors:
+            text = number(float(np.median(factors)), 2)
+            rows.append((result.route.name, "real-time factor", text, "–", "–"))
+    machines = {
+        str(run.metrics["machine"])
+        for result in results
+        for group in runs_of(result, result.route.setting_names[0])
+        for run in group
+        if "machine" in run.metrics
+    }
+    where = "; ".join(sorted(machines)) or f"{machine} (where this report was made)"
+    return Table(
+        "timing",
+        "Processing times",
+        ("Route", "Stage", "Median [ms]", "p95 [ms]", "p99 [ms]"),
+        tuple(rows),
+        f"Medians over the runs. Machine: {where}.",
+        text_columns=2,
+    )
+
+
+def map_table(results: Sequence[RouteResult]) -> Table:
+    """What the map holds."""
+    rows = []
+    for result in results:
+        poles = result.route.pole_map
+        if poles is None or len(poles) == 0:
+            continue
+        extent = np.ptp(poles.points_m, axis=0)
+        sd = np.sqrt(np.linalg.eigvalsh(poles.covariance_m2)[:, -1])
+        widths = poles.width_m[np.isfinite(poles.width_m)]
+        rows.append(
+            (
+                result.route.name,
+                str(poles.frame),
+                str(len(poles)),
+                f"{extent[0]:.0f} x {extent[1]:.0f}",
+                number(float(np.median(sd))),
+                number(float(np.median(widths)) if len(widths) else None, 2),
+                number(float(np.median(poles.observations)), 0),
+                number(float(np.mean(poles.existence)), 2),
+            )
+        )
+    return Table(
+        "map",
+        "Maps",
+        (
+            "Route",
+            "Frame",
+            "Poles",
+            "Extent [m]",
+            "Position sd, major [m]",
+            "Width [m]",
+            "Observations",
+            "Mean existence",
+        ),
+        tuple(rows),
+        "Position, width and observations: medians over the poles.",
+        text_columns=2,
+    )
+
+
+def exclusion_table(results: Sequence[RouteResult]) -> Table:
+    """Everything that did not count, and why."""
+    rows = []
+    for result in results:
+        for one in result.exclusions:
+            stretch = result.stretches[one.stretch]
+            who = "all" if one.pass_row is None else stretch.passes[one.pass_row].name
+            where = f"{one.start_m:.0f} – {one.end_m:.0f}"
+            rows.append((result.route.name, str(one.stretch + 1), who, one.reason, where))
+    return Table(
+        "exclusions",
+        "Left out of the repeatability",
+        ("Route", "Road", "Lap", "Why", "Stations [m]"),
+        tuple(rows),
+        "The rules stand in docs/repeatability.md; manoeuvres are judged by the truth, else the "
+        "reference, else the output filter.",
+        text_columns=4,
+    )
+
+
+def runs_of(result: RouteResult, setting: str) -> list[list[Run]]:
+    """`[run][recording]` of one setting."""
+    sets = [recording.settings[setting] for recording in result.route.recordings]
+    return [[one.runs[number] for one in sets] for number in range(min(len(s.runs) for s in sets))]
+
+
+def latency_ms(runs: Sequence[Run]) -> tuple[float, float, float] | None:
+    """Median, p95 and p99 of the age of a pose when it reaches the output filter."""
+    lags = [run.health_numbers("lag_s", "lag") for run in runs]
+    values = np.concatenate(
+        [lag[np.isfinite(lag)] for lag in lags if lag is not None] or [np.empty(0)]
+    )
+    if len(values) == 0:
+        return None
+    median, p95, p99 = (float(v) for v in 1e3 * np.quantile(values, [0.5, 0.95, 0.99]))
+    return (median, p95, p99)
+
+
+def passes_text(result: RouteResult) -> str:
+    """`6`, or `2–4` where roads were driven differently often."""
+    counts = [len(stretch.passes) for stretch in result.stretches]
+    if not counts:
+        return "1"
+    return str(counts[0]) if len(set(counts)) == 1 else f"{min(counts)}–{max(counts)}"
+
+
+def poles_per_km(result: RouteResult) -> float | None:
+    """Mapped poles near the driven line, per kilometre of different road."""
+    poles = result.route.pole_map
+    if poles is None or len(poles) == 0:
+        return None
+    guides = [recording.guide for recording in result.route.recordings]
+    line = np.concatenate([guide.thinned(2.0).poses[:, :2] for guide in guides])
+    near = np.isfinite(KDTree(line).query(poles.points_m, distance_upper_bound=NEAR_ROUTE_M)[0])
+    length_m = road_length_m(guides)
+    return float(near.sum() / length_m * 1e3) if length_m else None
+
+
+def route_type(result: RouteResult) -> str:
+    """`type` (or `scenario`) of drive.yaml, if the drive has one."""
+    for recording in result.route.recordings:
+        path = recording.main.drive
+        if path is None or not (path / "drive.yaml").is_file():
+            continue
+        try:
+            head: Any = yaml.safe_load((path / "drive.yaml").read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError):
+            continue
+        for key in ("type", "scenario"):
+            if isinstance(head, dict) and isinstance(head.get(key), str):
+                return str(head[key])
+    return "–"
+
+
+def _mean_of(one: SystemResult) -> dict[str, float]:
+    names = ("unbiased_m", "population_m", "freedom", "share")
+    return {n: float(np.mean([getattr(r, n) for r in one.repeatability])) for n in names}
+
+
+def _over_runs(one: SystemResult, key: str, scale: float = 1.0, digits: int = 3) -> str:
+    values = [scale * run[key] for run in one.accuracy if key in run]
+    return with_spread(float(np.mean(values)), _spread(values), digits) if values else "–"
+
+
+def _nees(result: RouteResult, one: SystemResult) -> str:
+    if one.system.kind not in ("pf", "kf"):
+        return "–"
+    values = []
+    for runs in runs_of(result, one.system.setting):
+        for run in runs:
+            figures = run.metrics.get(one.system.kind)
+            if isinstance(figures, Mapping) and figures.get("nees_mean") is not None:
+                values.append(float(figures["nees_mean"]))
+    return with_spread(float(np.mean(values)), _spread(values), 2) if values else "–"
+
+
+def _spread(values: Sequence[float]) -> float:
+    return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+
+
+def _quantiles(found: Sequence[Mapping[str, float]]) -> tuple[str, str, str]:
+    def middle(key: str) -> str:
+        values = [float(f[key]) for f in found if f.get(key) is not None]
+        return number(float(np.median(values)), 2) if values else "–"
+
+    return middle("median"), middle("p95"), middle("p99")

@@ -1,0 +1,1 @@
+"""Style sheet, script and template of the report page."""

@@ -1,0 +1,155 @@
+"""The report as files: page, JSON, tables, pictures, and trajectories for other tools."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from drivelog.atomic import atomic_file
+from polemap import __version__
+from tools.report.comparison import compare_systems
+from tools.report.document import document, document_text
+from tools.report.evaluate import RouteResult
+from tools.report.figures import route_pictures
+from tools.report.interactive_map import interactive_map
+from tools.report.machine import describe_machine
+from tools.report.page import Page, Section, SettingsText, render_page
+from tools.report.route_tables import all_tables, repeatability_table
+from tools.report.style import Picture
+from tools.report.tables import Table, csv_text, latex_text
+from tools.report.trajectory import Trajectory, tum_text
+
+
+@dataclass(frozen=True, slots=True)
+class SweepOutput:
+    """What the sweeps add to a report."""
+
+    values: Mapping[str, Any]
+    tables: tuple[Table, ...]
+    pictures: tuple[Picture, ...]
+    notes: tuple[str, ...]
+
+
+NO_SWEEPS = SweepOutput({}, (), (), ())
+
+
+def write_report(
+    results: Sequence[RouteResult],
+    out: Path,
+    sweeps: SweepOutput = NO_SWEEPS,
+    latex: bool = False,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Write everything under `out` and return the content of report.json."""
+    machine = describe_machine()
+    made = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+    comparison, differences = compare_systems(results, seed)
+    tables = [*all_tables(results, machine), *([comparison] if comparison.rows else [])]
+    tables += sweeps.tables
+    slugs = _slugs([result.route.name for result in results])
+    pictures = {
+        slug: route_pictures(result, slug) for slug, result in zip(slugs, results, strict=True)
+    }
+    head = {"polemap": __version__, "made": made, "machine": machine, "seed": seed}
+    content = document(results, head, differences, sweeps.values, tables)
+    content["notes"] += list(sweeps.notes)
+    sections = [
+        Section(
+            f"route-{slug}",
+            result.route.name,
+            interactive_map(result),
+            # The page has a zoomable map instead of the still one.
+            tuple(p for p in pictures[slug] if not p.key.endswith("map-picture")),
+            tuple(_settings(result)),
+        )
+        for slug, result in zip(slugs, results, strict=True)
+    ]
+    page = Page(
+        title="Repeatability and accuracy",
+        version=__version__,
+        made=made,
+        machine=machine,
+        head_tables=(repeatability_table(results),),
+        tables=tuple(t for t in tables if t.key != "repeatability"),
+        pictures=sweeps.pictures,
+        sections=tuple(sections),
+        notes=tuple(content["notes"]),
+    )
+    _write_tables(out, tables, latex)
+    for picture in [p for group in pictures.values() for p in group] + list(sweeps.pictures):
+        _write_text(out / "pictures" / f"{picture.key}.svg", picture.svg)
+        _write_bytes(out / "pictures" / f"{picture.key}.png", picture.png)
+    for slug, result in zip(slugs, results, strict=True):
+        _write_references(out / "trajectories", slug, result)
+    _write_text(out / "report.json", document_text(content))
+    _write_text(out / "report.html", render_page(page))
+    return content
+
+
+def _settings(result: RouteResult) -> list[SettingsText]:
+    found = []
+    for recording in result.route.recordings:
+        for one in recording.settings.values():
+            text = yaml.safe_dump(dict(one.config), sort_keys=False, allow_unicode=True)
+            found.append(SettingsText(one.name, text))
+    return found
+
+
+def _write_tables(out: Path, tables: Sequence[Table], latex: bool) -> None:
+    for table in tables:
+        _write_text(out / "tables" / f"{table.key}.csv", csv_text(table))
+    if latex:
+        _write_text(out / "tables.tex", latex_text(tables))
+
+
+def _write_references(folder: Path, slug: str, result: RouteResult) -> None:
+    """The reference at the stamps of the first run's poses, so that `evo_ape` pairs exactly.
+
+    evo pairs the nearest stamps and does not interpolate: against the reference's own stamps it
+    would measure the distance that the car drives in between.
+    """
+    for kind in ("pf", "kf"):
+        one = result.of_kind(kind)
+        if one is None or not result.against:
+            continue
+        for number, (recording, track) in enumerate(
+            zip(result.route.recordings, one.system.tracks[0], strict=True)
+        ):
+            goal = recording.truth if result.against == "truth" else recording.reference
+            if goal is None:
+                continue
+            poses = goal.at(track.stamp_s)
+            known = (poses[:, 0] == poses[:, 0]).nonzero()[0]
+            suffix = f"-{number}" if len(result.route.recordings) > 1 else ""
+            name = f"{slug}{suffix}-{kind}"
+            estimate = Trajectory(track.stamp_s[known], track.poses[known])
+            reference = Trajectory(track.stamp_s[known], poses[known])
+            _write_text(folder / f"{name}.tum", tum_text(estimate))
+            _write_text(folder / f"{name}-reference.tum", tum_text(reference))
+
+
+def _slugs(names: Sequence[str]) -> list[str]:
+    """File names for routes: plain letters, none twice."""
+    slugs: list[str] = []
+    for name in names:
+        base = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:40] or "route"
+        slug, number = base, 2
+        while slug in slugs:
+            slug, number = f"{base}-{number}", number + 1
+        slugs.append(slug)
+    return slugs
+
+
+def _write_text(path: Path, text: str) -> None:
+    _write_bytes(path, text.encode("utf-8"))
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    with atomic_file(path) as part:
+        part.write_bytes(content)
