@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from polemap.mapping_config import MappingConfig
+
 
 class DetectionConfig(BaseModel):
     """From a disparity pair to classified pole hypotheses.
@@ -74,3 +76,4 @@ class PolemapConfig(BaseModel):
 
     detection: DetectionConfig = DetectionConfig()
     tracking: TrackingConfig = TrackingConfig()
+    mapping: MappingConfig = MappingConfig()

@@ -1,10 +1,10 @@
 """Does a pole stand there? What was seen, and what should have been seen and was not.
 
-A Bernoulli filter per pole: each look that had the pole in view moves its log-odds by how much
-better "it stands there" explains a sighting, or a miss, than "nothing does". How often a standing
-pole is seen at a range is measured on poles that are beyond doubt. Looks that follow each other
-share what hides a pole, so they count as one look every `independent_look_s`; and one drive can
-say only so much, because a parked van is as visible as a pole for as long as it is parked.
+Each drive moves a pole's log-odds by how much better "it stands there" explains what was seen and
+missed than "nothing does". How often a standing pole is seen at a range is measured on poles that
+are beyond doubt. Looks that follow each other share what hides a pole, so they count as one look
+every `independent_look_s`; and one drive can say only so much, because a parked van is as visible
+as a pole for as long as it is parked.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+from scipy.special import betaln
 
 from polemap.mapping_config import MappingConfig
 from polemap.sightings import Sightings
@@ -27,6 +28,7 @@ _BINS = 16
 _BATCH = 2000
 _ESTABLISHED = 10  # sightings in the drive from which a pole's presence is beyond doubt
 _PRIOR_SEEN, _PRIOR_LOOKS = 6.0, 10.0
+_MEMORY = 20.0  # looks that earlier drives count at most: visibility changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,19 +126,50 @@ def detection_probability(parts: list[Visibility]) -> Floats:
     return (seen + _PRIOR_SEEN) / (expected + _PRIOR_LOOKS)
 
 
-def drive_log_odds(part: Visibility, detection: Floats, config: MappingConfig) -> Floats:
-    """What one drive says about each pole, `(n,)`, limited to `drive_log_odds_max`."""
-    false = config.false_alarm_probability
-    p = np.clip(detection, false, 0.99)
-    missed = part.expected - part.seen
-    gain = part.seen @ np.log(p / false) + missed @ np.log((1.0 - p) / (1.0 - false))
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Independent looks of one drive at each pole `(n,)`: how many, and how many saw it."""
+
+    seen: Floats
+    looks: Floats
+
+
+def evidence(part: Visibility, detection: Floats) -> Evidence:
+    """Count looks as independent ones, and far ones as little as they are worth."""
+    worth = np.minimum(detection / detection.max(), 1.0)
+    seen = part.seen.sum(axis=1) * part.weight
+    looks = np.maximum(part.seen, part.expected * worth).sum(axis=1) * part.weight
+    return Evidence(seen, np.maximum(looks, seen))
+
+
+def drive_log_odds(drive: Evidence, before: Evidence | None, config: MappingConfig) -> Floats:
+    """What one drive says about each pole, `(n,)`, limited to `drive_log_odds_max`.
+
+    Poles differ in how visible they are (a bush before one, a hedge behind another), so that the
+    share that is seen is not known but drawn from a Beta distribution: Jeffreys' prior, sharpened
+    by what drives before have counted. Its marginal likelihood stands against chance sightings.
+    """
+    a, b = np.full(len(drive.seen), 0.5), np.full(len(drive.seen), 0.5)
+    if before is not None:
+        share = np.minimum(1.0, _MEMORY / np.maximum(before.looks, 1e-9))
+        a, b = a + share * before.seen, b + share * (before.looks - before.seen)
+    false, missed = config.false_alarm_probability, drive.looks - drive.seen
+    stands = betaln(a + drive.seen, b + missed) - betaln(a, b)
+    nothing = drive.seen * np.log(false) + missed * np.log(1.0 - false)
     limit = config.drive_log_odds_max
-    return np.asarray(np.clip(part.weight * gain, -limit, limit))
+    return np.asarray(np.clip(stands - nothing, -limit, limit))
 
 
-def combine(log_odds: list[Floats], config: MappingConfig) -> Floats:
+def existence(drives: list[Evidence], config: MappingConfig, prior_log_odds: Floats) -> Floats:
     """Existence `(n,)` after drives in the order of time, each limited, the sum limited too."""
-    total = np.zeros_like(log_odds[0])
-    for part in log_odds:
-        total = np.clip(total + part, -config.log_odds_max, config.log_odds_max)
+    total = np.array(prior_log_odds, dtype=np.float64)
+    before: Evidence | None = None
+    for drive in drives:
+        odds = drive_log_odds(drive, before, config)
+        total = np.clip(total + odds, -config.log_odds_max, config.log_odds_max)
+        before = (
+            drive
+            if before is None
+            else Evidence(before.seen + drive.seen, before.looks + drive.looks)
+        )
     return np.asarray(1.0 / (1.0 + np.exp(-total)))

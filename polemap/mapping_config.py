@@ -21,9 +21,12 @@ class MappingConfig(BaseModel):
     gate_probability: float = Field(0.997, gt=0.5, lt=1.0, description="Of sightings to a pole.")
     gate_slack_m: float = Field(0.15, ge=0.0, description="Added to the gate within a pass, 1 sd.")
     pass_gap_s: float = Field(20.0, gt=0.0, description="Unseen for longer: a new pass.")
-    merge_max_m: float = Field(1.0, gt=0.0, description="Passes farther apart are two poles.")
+    merge_max_m: float = Field(0.8, gt=0.0, description="Passes farther apart are two poles.")
+    merge_slack_m: float = Field(
+        0.25, ge=0.0, description="Seen from two sides a trunk has two middles: added to the gate."
+    )
     merge_probability: float = Field(0.9999, gt=0.5, lt=1.0)
-    observations_min: int = Field(4, ge=1, description="A pole seen less often is not mapped.")
+    observations_min: int = Field(8, ge=1, description="A pole seen less often is not mapped.")
     existence_min: float = Field(0.5, ge=0.0, le=1.0, description="Least to stay in the map.")
     false_alarm_probability: float = Field(
         0.03, gt=0.0, lt=0.5, description="Of seeing something where no pole stands, a look."

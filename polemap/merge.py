@@ -86,7 +86,7 @@ def _meetings(landmarks: PassLandmarks, config: MappingConfig, apart: Whole) -> 
     if len(solid) < 2:
         return np.empty((0, 2), dtype=np.int64)
     tree = KDTree(landmarks.points_m[solid])
-    pairs = tree.query_pairs(2.0 * config.merge_max_m, output_type="ndarray")
+    pairs = tree.query_pairs(config.merge_max_m, output_type="ndarray")
     pairs = solid[pairs] if len(pairs) else np.empty((0, 2), dtype=np.int64)
     pairs = pairs[~_listed(pairs, apart, len(landmarks))]
     length = np.linalg.norm(
@@ -166,7 +166,7 @@ def cluster(
     if not n:
         return np.empty(0, dtype=np.int64)
     spread = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.pass_sd_m)
-    spread = spread + np.eye(2) * error.drive_sd_m**2
+    spread = spread + np.eye(2) * (error.drive_sd_m**2 + config.merge_slack_m**2)
     pairs = KDTree(landmarks.points_m).query_pairs(config.merge_max_m, output_type="ndarray")
     pairs = np.sort(pairs.reshape(-1, 2), axis=1)
     offset = landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]]

@@ -39,8 +39,6 @@ class PassLandmarks:
         first_s, last_s: `(n,)` stamps of the first and last sighting.
         directions: `(n,)` bit field of the eighths of the circle it was seen from.
         range_min_m: `(n,)`.
-        seen: `(n, 2)` first and last look, to tell poles that were seen together.
-        members: `(n,)` a number that joins sightings to landmarks within the drive.
     """
 
     drive: NDArray[np.str_]
@@ -160,15 +158,12 @@ def correlation_length(sightings: Sightings, numbers: Whole, points_m: Floats) -
     return total
 
 
-def average_passes(
-    sightings: Sightings, numbers: Whole, config: MappingConfig
-) -> tuple[PassLandmarks, Whole]:
+def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks, Whole]:
     """Robust mean of the sightings of every pass landmark.
 
     Returns:
         The landmarks, and for each sighting the row of its landmark `(n,)`.
     """
-    del config
     present, rows = np.unique(numbers, return_inverse=True)
     n = len(present)
     point, covariance, weight = _robust_mean(sightings, rows, n)

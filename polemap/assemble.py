@@ -1,0 +1,251 @@
+"""What drives observed to one map: align, merge, weigh the evidence, number the poles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from drivelog.frames import EarthFrame
+from polemap.align import NO_SHIFT, Shift, register
+from polemap.existence import Evidence, detection_probability, evidence, existence, visibility
+from polemap.history import COLUMN, OldMap, open_history, write_history
+from polemap.landmark_map import PoleMap
+from polemap.mapping_config import MappingConfig
+from polemap.merge import Merged, merge_passes
+from polemap.observe import DriveObservations, join_apart, join_landmarks
+from polemap.passes import PassLandmarks
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltMap:
+    """A map, and what its building found out.
+
+    Attributes:
+        removed: poles of the map before that no longer stand, or were never solid.
+        shifts: correction of each drive against the others, by name.
+        reports: sentences for whoever started the building.
+    """
+
+    pole_map: PoleMap
+    removed: PoleMap
+    shifts: dict[str, Shift]
+    reports: tuple[str, ...]
+
+
+def assemble_map(
+    observed: Sequence[DriveObservations],
+    config: MappingConfig,
+    frame: EarthFrame,
+    *,
+    update: PoleMap | None = None,
+    align: bool = False,
+) -> BuiltMap:
+    """Merge what drives observed; neither their order nor who computed them matters."""
+    ordered = sorted(observed, key=lambda part: part.order)
+    old = open_history(update) if update is not None and len(update) else None
+    shifts = align_drives(ordered, old, config)
+    if align:
+        ordered = [part.moved(shifts[part.sightings.drive]) for part in ordered]
+    landmarks = join_landmarks(
+        [part.landmarks for part in ordered] + ([old.landmarks] if old else [])
+    )
+    apart = _all_apart(ordered, old)
+    merged = merge_passes(landmarks, config, apart)
+    evidences = _all_evidence(ordered, old, merged, config)
+    built = _finish(landmarks, merged, evidences, old, update, config, frame)
+    return replace(built, shifts=shifts, reports=_reports(ordered, shifts, align, merged))
+
+
+def align_drives(
+    ordered: Sequence[DriveObservations], old: OldMap | None, config: MappingConfig
+) -> dict[str, Shift]:
+    """The correction that lays each drive onto the map before it, or onto the earlier drives.
+
+    The first drive (or the old map) stays where it is: which of two references is right cannot be
+    told from their disagreement.
+    """
+    shifts: dict[str, Shift] = {}
+    fixed = old.landmarks.points_m if old is not None else np.empty((0, 2))
+    for part in ordered:
+        points = _solid(part.landmarks, config)
+        shift = register(points, fixed, config.align_max_m) if len(fixed) else NO_SHIFT
+        shift = shift if shift.significant else NO_SHIFT
+        shifts[part.sightings.drive] = shift
+        fixed = np.concatenate([fixed, shift.points(points)])
+    return shifts
+
+
+def _solid(landmarks: PassLandmarks, config: MappingConfig) -> Floats:
+    return landmarks.points_m[landmarks.observations >= config.observations_min]
+
+
+def _all_apart(ordered: Sequence[DriveObservations], old: OldMap | None) -> Whole:
+    parts = [part.apart for part in ordered]
+    lengths = [len(part.landmarks) for part in ordered]
+    if old is not None:
+        parts.append(_decided_apart(old))
+        lengths.append(len(old.landmarks))
+    return join_apart(parts, lengths)
+
+
+def _decided_apart(old: OldMap) -> Whole:
+    """Neighbouring passes that the old map held to be two poles stay two."""
+    if not len(old.pole):
+        return np.empty((0, 2), dtype=np.int64)
+    pairs = KDTree(old.landmarks.points_m).query_pairs(2.0, output_type="ndarray").reshape(-1, 2)
+    pairs = np.sort(pairs, axis=1)
+    return np.asarray(pairs[old.pole[pairs[:, 0]] != old.pole[pairs[:, 1]]], dtype=np.int64)
+
+
+def _all_evidence(
+    ordered: Sequence[DriveObservations],
+    old: OldMap | None,
+    merged: Merged,
+    config: MappingConfig,
+) -> list[tuple[str, float, Evidence]]:
+    """What every drive, old and new, counted at every pole; in the order of time."""
+    start, parts = 0, []
+    for part in ordered:
+        owner = merged.owner[start : start + len(part.landmarks)][part.rows]
+        parts.append(visibility(part.sightings, owner, merged.points_m, config))
+        start += len(part.landmarks)
+    detection = detection_probability(parts)
+    drives = [
+        (part.sightings.drive, part.sightings.start_s, evidence(seen, detection))
+        for part, seen in zip(ordered, parts, strict=True)
+    ]
+    if old is not None:
+        rows = merged.owner[start:]
+        for name, when, counts in old.evidence:
+            drives.append((name, when, _carried(counts, old.pole, rows, len(merged))))
+    return sorted(drives, key=lambda drive: (drive[1], drive[0]))
+
+
+def _carried(counts: Evidence, pole: Whole, cluster: Whole, n: int) -> Evidence:
+    """Counts at the old map's poles, at the clusters that their passes went to."""
+    seen, looks = np.zeros(n), np.zeros(n)
+    links = np.unique(np.stack([pole, cluster], axis=1), axis=0)
+    np.add.at(seen, links[:, 1], counts.seen[links[:, 0]])
+    np.add.at(looks, links[:, 1], counts.looks[links[:, 0]])
+    return Evidence(seen, looks)
+
+
+def _finish(
+    landmarks: PassLandmarks,
+    merged: Merged,
+    drives: list[tuple[str, float, Evidence]],
+    old: OldMap | None,
+    update: PoleMap | None,
+    config: MappingConfig,
+    frame: EarthFrame,
+) -> BuiltMap:
+    n = len(merged)
+    prior = np.zeros(n)
+    old_rows = merged.owner[len(landmarks) - len(old.pole) :] if old is not None else None
+    if old is not None and old_rows is not None:
+        np.maximum.at(prior, old_rows, old.prior_log_odds[old.pole])
+    stands = existence([counts for _, _, counts in drives], config, prior)
+    observations = np.bincount(merged.owner, landmarks.observations, n).astype(np.int64)
+    known = np.zeros(n, dtype=bool)
+    if old_rows is not None:
+        known[old_rows] = True
+    solid = known | (observations >= config.observations_min)
+    ids = _ids(merged, old, old_rows, update)
+    every = PoleMap(
+        frame=frame,
+        ids=ids,
+        points_m=merged.points_m,
+        covariance_m2=merged.covariance_m2,
+        width_m=_weighted(landmarks.width_m, landmarks.observations, merged.owner, n),
+        height_m=_weighted(landmarks.height_m, landmarks.observations, merged.owner, n),
+        observations=observations,
+        drives=_distinct(landmarks.drive, merged.owner, n),
+        existence=stands,
+        extra=_evidence_columns(landmarks, merged.owner, drives, n),
+    )
+    keep = solid & (stands >= config.existence_min)
+    return BuiltMap(every.rows(keep), every.rows(known & ~keep), {}, ())
+
+
+def _ids(
+    merged: Merged, old: OldMap | None, old_rows: Whole | None, update: PoleMap | None
+) -> Whole:
+    """Poles of the old map keep their ids; new ones are numbered from south to north."""
+    n = len(merged)
+    if old is None or old_rows is None or update is None:
+        return np.arange(n, dtype=np.int64)
+    none = np.iinfo(np.int64).max
+    ids = np.full(n, none, dtype=np.int64)
+    np.minimum.at(ids, old_rows, update.ids[old.pole])
+    fresh = ids == none
+    ids[fresh] = int(update.ids.max()) + 1 + np.arange(np.count_nonzero(fresh))
+    # two new poles cannot come from one old one: whoever is farther from it gets a new number
+    _, first = np.unique(ids, return_index=True)
+    twice = np.setdiff1d(np.arange(n), first)
+    ids[twice] = int(ids.max()) + 1 + np.arange(len(twice))
+    return ids
+
+
+def _weighted(values: Floats, observations: Whole, owner: Whole, n: int) -> Floats:
+    """Mean of the finite values of each pole, weighted by observations; NaN without any."""
+    finite = np.isfinite(values)
+    weight = np.bincount(owner[finite], observations[finite], n)
+    total = np.bincount(owner[finite], (values * observations)[finite], n)
+    return np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), np.nan)
+
+
+def _distinct(names: NDArray[np.str_], owner: Whole, n: int) -> Whole:
+    _, code = np.unique(names, return_inverse=True)
+    pairs = np.unique(np.stack([owner, code], axis=1), axis=0)
+    return np.bincount(pairs[:, 0], minlength=n).astype(np.int64)
+
+
+def _evidence_columns(
+    landmarks: PassLandmarks, owner: Whole, drives: list[tuple[str, float, Evidence]], n: int
+) -> dict[str, NDArray[np.generic]]:
+    directions = np.zeros(n, dtype=np.int64)
+    np.bitwise_or.at(directions, owner, landmarks.directions)
+    nearest = np.full(n, np.inf)
+    np.fmin.at(nearest, owner, landmarks.range_min_m)
+    seen = np.sum([counts.seen for _, _, counts in drives], axis=0)
+    looks = np.sum([counts.looks for _, _, counts in drives], axis=0)
+    return {
+        "passes": np.bincount(owner, minlength=n).astype(np.int64),
+        "directions": np.bitwise_count(directions).astype(np.int64),
+        "range_min_m": np.where(np.isfinite(nearest), nearest, np.nan),
+        "width_sd_m": _weighted(landmarks.width_sd_m, landmarks.observations, owner, n),
+        "seen_share": np.where(looks > 0, seen / np.where(looks > 0, looks, 1.0), np.nan),
+        COLUMN: write_history(landmarks, owner, drives, n),
+    }
+
+
+def _reports(
+    ordered: Sequence[DriveObservations], shifts: dict[str, Shift], align: bool, merged: Merged
+) -> tuple[str, ...]:
+    reports = []
+    for name, shift in shifts.items():
+        if shift.significant:
+            what = "was aligned by" if align else "disagrees with the drives before it by"
+            hint = "" if align else "; --align would remove it"
+            reports.append(
+                f"drive {name} {what} {shift.move_m[0]:+.2f} m east, {shift.move_m[1]:+.2f} m "
+                f"north ({shift.matches} poles){hint}"
+            )
+    lost = sum(part.sightings.without_pose for part in ordered)
+    if lost:
+        reports.append(f"{lost} scans have no reference pose and were left out")
+    error = merged.reference_error
+    if error.pass_sd_m is not None:
+        reports.append(
+            f"the reference repeats to {error.pass_sd_m:.3f} m between passes of a drive "
+            f"({error.pass_pairs} meetings), and to {error.drive_sd_m:.3f} m between drives "
+            f"({error.drive_pairs})"
+        )
+    return tuple(reports)
