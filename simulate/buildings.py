@@ -178,10 +178,10 @@ def backdrop(rng: np.random.Generator, centre_m: tuple[float, float], reach_m: f
         )
         parts.append(wall)
         if leafy:
-            top = np.stack([rng.uniform(0, 1, 60)] * 3, axis=1) * np.array(b) + np.array(a)
-            top[:, 2] = height[k] + rng.normal(0, 0.8, 60)
-            direction = rng.normal(0, 0.9, (60, 3, 3))
-            uv = rng.uniform(0, 1, (60, 3, 2)) * 0.3
+            top = np.stack([rng.uniform(0, 1, 150)] * 3, axis=1) * np.array(b) + np.array(a)
+            top[:, 2] = height[k] + rng.normal(0, 0.7, 150)
+            direction = rng.normal(0, 0.35, (150, 3, 3))
+            uv = rng.uniform(0, 1, (150, 3, 2)) * 0.3
             parts.append(
                 triangles(top[:, None] + direction, uv, TILES["foliage"], float(shade), 0.12)
             )

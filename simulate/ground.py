@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from simulate.mesh import Mesh, join, quads
 from simulate.route import CrossSection, Route
-from simulate.scenario import SectionSpec
+from simulate.scenario import SectionSpec, SideStreetSpec
 from simulate.textures import TILES
 
 Floats = NDArray[np.float64]
@@ -122,21 +124,53 @@ def make_ground(
 ) -> Mesh:
     """Everything that one drives or walks on."""
     stations = _stations(route, 1.5)
-    parts = [
-        ribbon(
-            route,
-            stations,
-            (float(section.lateral_m[i]), float(section.lateral_m[i + 1])),
-            (float(section.height_m[i]), float(section.height_m[i + 1])),
-            name,
-            section.albedo[i],
-            section.repeats_per_m[i],
-        )
-        for i, name in enumerate(section.surface)
-    ]
+    parts: list[Mesh] = []
+    for i, name in enumerate(section.surface):
+        lateral = (float(section.lateral_m[i]), float(section.lateral_m[i + 1]))
+        height = (float(section.height_m[i]), float(section.height_m[i + 1]))
+        for low, high, surface in _paved(route, spec, name):
+            part = stations[(stations >= low) & (stations <= high)]
+            if len(part) > 1:
+                parts.append(ribbon(route, part, lateral, height, surface, section.albedo[i]))
     parts += _markings(route, section, spec)
     parts += _patches(route, section, spec, rng)
-    parts.append(_far_plane(route, float(section.height_m[0]) - 0.25))
+    parts.append(_far_plane(route, float(section.height_m.min()) - 0.3))
+    return join(parts)
+
+
+def _paved(route: Route, spec: SectionSpec, name: str) -> list[tuple[float, float, str]]:
+    """Stretches (from, to, surface) of one strip; only the road itself changes its paving."""
+    if name != spec.surface:
+        return [(0.0, route.length_m, name)]
+    stretches, at = [], 0.0
+    for paving in sorted(spec.paving, key=lambda p: p.from_m):
+        low, high = round(paving.from_m / 1.5) * 1.5, round(paving.to_m / 1.5) * 1.5
+        stretches += [(at, low, name), (low, min(high, route.length_m), paving.surface)]
+        at = high
+    return [*stretches, (at, route.length_m, name)]
+
+
+def side_street(
+    route: Route, section: CrossSection, spec: SectionSpec, side: SideStreetSpec
+) -> Mesh:
+    """The mouth of a side street: tarmac laid over pavement and border, straight outwards."""
+    sign = 1.0 if side.side == "left" else -1.0
+    kerb = kerb_m(spec)
+    parts = []
+    steps = np.linspace(kerb - 0.1, kerb + side.length_m, 24)
+    offsets = np.linspace(-side.width_m / 2, side.width_m / 2, 5)
+    pose = route.at(np.array(side.at_m), 0.0)
+    forward = np.array([np.cos(pose[2]), np.sin(pose[2])])
+    out = np.array([-forward[1], forward[0]]) * sign
+    height = section.height_at(sign * steps) + 0.02
+    height = np.maximum(height, float(section.height_at(sign * (kerb + 0.3))) - 0.06)
+    for a, b in pairwise(offsets):
+        left = pose[:2] + np.outer(steps, out) + a * forward
+        right = pose[:2] + np.outer(steps, out) + b * forward
+        low = np.column_stack([left, height])
+        high = np.column_stack([right, height])
+        corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
+        parts.append(quads(corners, corners[..., :2] * 0.22, TILES["asphalt"], 0.9, 0.22))
     return join(parts)
 
 

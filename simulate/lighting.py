@@ -13,8 +13,10 @@ from simulate.textures import TILE_PX, fractal, read_picture
 from simulate.world import World
 
 Floats32 = NDArray[np.float32]
-_MAP_LIMIT_PX = 6000
+_MAP_LIMIT_PX = 5000
 _BIAS_M = 0.06
+_CELL_M = 0.07
+_TRANSLUCENT = 0.5
 
 
 def _dot(vectors: Floats32, axis: Floats32) -> Floats32:
@@ -80,9 +82,19 @@ class Lighting:
         cloud = read_picture(self.clouds, place)
         return np.asarray(base * (1 + self.cloudiness * cloud), dtype=np.float32)
 
-    def on(self, points_m: Floats32, normals: Floats32, movers: Caster | None) -> Floats32:
-        """Irradiance `(n,)` on surfaces with unit normals that face the viewer."""
-        cosine = np.maximum(_dot(normals, self.to_sun), 0.0)
+    def on(
+        self,
+        points_m: Floats32,
+        normals: Floats32,
+        leafy: NDArray[np.bool_],
+        movers: Caster | None,
+    ) -> Floats32:
+        """Irradiance `(n,)` on surfaces with unit normals that face the viewer.
+
+        Leaves let a part of the light through from behind.
+        """
+        cosine = _dot(normals, self.to_sun)
+        cosine = np.maximum(cosine, cosine * (leafy * np.float32(-_TRANSLUCENT)))
         light = np.asarray(
             self.ambient * (0.55 + 0.45 * normals[:, 2])
             + 0.10 * self.sun * (1 - normals[:, 2]) * 0.5,
@@ -148,7 +160,7 @@ def _shadow_map(world: World, static: Caster, to_sun: Floats32) -> ShadowMap:
     local = points @ axes.T.astype(np.float64)
     low, high = local.min(axis=0), local.max(axis=0)
     span = high[:2] - low[:2]
-    cell = max(0.05, float(span.max()) / _MAP_LIMIT_PX)
+    cell = max(_CELL_M, float(span.max()) / _MAP_LIMIT_PX)
     columns, rows = (int(np.ceil(s / cell)) for s in span)
     top = float((world.mesh.vertices_m @ axes[2]).max()) + 1.0
     distance = np.full((rows, columns), -1e9, dtype=np.float32)

@@ -179,7 +179,7 @@ def _crown(
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     depth = rng.uniform(0.5, 1.0, (leaves, 1)) ** 0.5
     centres = middle[which] + direction * depth * size[which][:, None]
-    return cards(centres, 0.17 * radius_m + 0.10, TILES["leaves"], 1.0, 1.1, rng)
+    return cards(centres, 0.04 * radius_m + 0.12, TILES["leaves"], 1.0, 1.6, rng)
 
 
 def tree(rng: np.random.Generator, wish: Wish) -> Standing:
@@ -202,7 +202,7 @@ def tree(rng: np.random.Generator, wish: Wish) -> Standing:
         thick = radius * rng.uniform(0.35, 0.55)
         parts.append(cylinder(top, tip, thick, 0.02, TILES[tile], shade, 1.4, 8, False))
     crown = (top[0], top[1], bare + 0.85 * spread + 0.3)
-    parts.append(_crown(rng, crown, spread, int(rng.integers(700, 1100))))
+    parts.append(_crown(rng, crown, spread, int(650 * spread**2 + 700)))
     return Standing(join(parts), True, 2 * radius, bare + 2 * spread)
 
 
@@ -218,14 +218,14 @@ def park_tree(rng: np.random.Generator, wish: Wish) -> Standing:
     """A large tree further from the road, with a wide crown."""
     big = Wish(wish.lean_rad, wish.height_m or (2.6, 3.6), wish.radius_m or (0.16, 0.30))
     base = tree(rng, big)
-    more = _crown(rng, (0, 0, 5.6), float(rng.uniform(2.6, 3.6)), 900)
+    more = _crown(rng, (0, 0, 5.6), float(rng.uniform(2.6, 3.6)), 5000)
     return Standing(join([base.mesh, more]), True, base.width_m, 9.0)
 
 
 def bush(rng: np.random.Generator, wish: Wish) -> Standing:
     """A bush: leaves down to the ground."""
     size = float(rng.uniform(0.6, 1.3))
-    leaves = int(500 * size)
+    leaves = int(1500 * size**2)
     direction = rng.normal(size=(leaves, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction[:, 2] = np.abs(direction[:, 2])
@@ -233,7 +233,7 @@ def bush(rng: np.random.Generator, wish: Wish) -> Standing:
     inner = cylinder(
         (0, 0, 0), (0, 0, 0.8 * size), 0.75 * size, 0.4 * size, TILES["foliage"], 0.7, 0.5
     )
-    leaf = cards(shell, 0.26, TILES["leaves"], 1.0, 1.3, rng)
+    leaf = cards(shell, 0.15, TILES["leaves"], 1.0, 1.3, rng)
     return Standing(join([inner, leaf]), False, 2 * size, 1.1 * size)
 
 
@@ -241,12 +241,12 @@ def hedge(rng: np.random.Generator, wish: Wish) -> Standing:
     """Eight metres of clipped hedge."""
     height = float(rng.uniform(1.0, 1.7))
     core = box((0, 0, height / 2), (8.0, 0.55, height), TILES["leaves"], 0.85, 1.0)
-    n = 700
+    n = 1800
     face = np.stack(
         [rng.uniform(-4, 4, n), rng.choice([-0.3, 0.3], n), rng.uniform(0, height, n)], axis=1
     )
     top = np.stack([rng.uniform(-4, 4, 200), rng.uniform(-0.3, 0.3, 200), np.full(200, height)], 1)
-    leaf = cards(np.concatenate([face, top]), 0.16, TILES["leaves"], 1.1, 1.5, rng)
+    leaf = cards(np.concatenate([face, top]), 0.10, TILES["leaves"], 1.1, 1.5, rng)
     return Standing(join([core, leaf]), False, 8.0, height)
 
 

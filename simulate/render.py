@@ -235,7 +235,7 @@ class Renderer:
         albedo *= surface[:, 6]
         point = pose.position_m.astype(np.float32) + ray * hits.depth[:, None]
         albedo *= 2.0 * self._atlas.sample_one(TILES["macro"], _unfold(point, normal))
-        albedo *= self._light.on(point, normal, movers)
+        albedo *= self._light.on(point, normal, np.take(self._leafy, tile), movers)
         glass = np.flatnonzero(tile == TILES["glass"])
         if len(glass):
             unit = ray[glass] / reach[glass, None]

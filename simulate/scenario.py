@@ -29,6 +29,23 @@ class RouteSpec(_Part):
     closed: bool = False
 
 
+class PavingSpec(_Part):
+    """A stretch of the road with another surface."""
+
+    from_m: NotNegative
+    to_m: Positive
+    surface: str = "cobble"
+
+
+class SideStreetSpec(_Part):
+    """A street that joins from the side; houses, walls and furniture leave its mouth free."""
+
+    at_m: NotNegative
+    side: Literal["left", "right"] = "right"
+    width_m: Positive = 6.0
+    length_m: Positive = 45.0
+
+
 class SectionSpec(_Part):
     """The cross-section, mirrored about the centre line unless a median is asked for."""
 
@@ -46,6 +63,7 @@ class SectionSpec(_Part):
     border_width_m: NotNegative = 6.0
     border_surface: str = "grass"
     median_width_m: NotNegative = 0.0
+    paving: list[PavingSpec] = Field(default_factory=list)
     centre_line: Literal["none", "dashed", "solid"] = "dashed"
     edge_line: bool = False
     lane_width_m: Positive = 3.2
@@ -98,6 +116,7 @@ class TrafficSpec(_Part):
 
     oncoming_per_km: NotNegative = 12.0
     ahead_per_km: NotNegative = 3.0
+    beside_per_km: NotNegative = 0.0
     cyclists_per_km: NotNegative = 4.0
     pedestrians_per_km: NotNegative = 14.0
 
@@ -126,6 +145,7 @@ class Scenario(_Part):
     origin_north_m: float = 5819500.0
     route: RouteSpec
     section: SectionSpec = Field(default_factory=SectionSpec)
+    side_streets: list[SideStreetSpec] = Field(default_factory=list)
     houses: list[HousesSpec] = Field(default_factory=list)
     rows: list[RowSpec] = Field(default_factory=list)
     light: LightSpec = Field(default_factory=LightSpec)

@@ -48,16 +48,29 @@ class Mover:
         return self.meshes[step].placed(x, y, height, turn)
 
 
+def _lanes(world: World) -> list[float]:
+    """Lateral middles of the lanes in the car's direction."""
+    section, own = world.scenario.section, world.scenario.drive.lane_offset_m
+    inner = section.median_width_m / 2
+    count = max(1, int((section.road_half_width_m - inner) / section.lane_width_m + 0.05))
+    if count == 1:
+        return [own]
+    sign = 1.0 if own > 0 else -1.0
+    return [sign * (inner + (k + 0.5) * section.lane_width_m) for k in range(count)]
+
+
 def make_traffic(world: World, motion: Motion, rng: np.random.Generator) -> list[Mover]:
     """Movers that the car meets: each is planned by where and when they meet."""
     spec, section = world.scenario.traffic, world.scenario.section
     own = world.scenario.drive.lane_offset_m
     way_km = (motion.station_m[-1] - motion.station_m[0]) / 1000
     movers: list[Mover] = []
+    lanes = _lanes(world)
     walk = kerb_m(section) + 0.3 + section.verge_width_m + 0.5 * section.sidewalk_width_m
     plans = (
         ("oncoming", spec.oncoming_per_km),
         ("ahead", spec.ahead_per_km),
+        ("beside", spec.beside_per_km),
         ("cyclist", spec.cyclists_per_km),
         ("walker", spec.pedestrians_per_km),
     )
@@ -68,7 +81,8 @@ def make_traffic(world: World, motion: Motion, rng: np.random.Generator) -> list
             ident = MOVER_ID + len(movers)
             side = 1.0 if rng.uniform() < 0.5 else -1.0
             if kind == "oncoming":
-                speed, lateral = -float(rng.uniform(6, 11)), -own
+                speed = -float(rng.uniform(6, 11))
+                lateral = float(rng.choice([-x for x in lanes]))
                 meshes: tuple[Mesh, ...] = (car(rng).owned_by(ident),)
                 before, after, stride = 12.0, 4.0, 0.0
             elif kind == "ahead":
@@ -76,6 +90,12 @@ def make_traffic(world: World, motion: Motion, rng: np.random.Generator) -> list
                 speed, lateral = mean * float(rng.uniform(0.95, 1.25)) + 1.0, own
                 meshes, before, after, stride = (car(rng).owned_by(ident),), 0.0, 9.0, 0.0
                 meet_m += float(rng.uniform(14, 30))
+            elif kind == "beside":
+                mean = float(np.mean(motion.speed_mps))
+                others = [x for x in lanes if abs(x - own) > 1.5] or [own * 3]
+                speed, lateral = mean * float(rng.uniform(0.6, 1.4)), float(rng.choice(others))
+                meshes, before, after, stride = (car(rng).owned_by(ident),), 9.0, 9.0, 0.0
+                meet_m += float(rng.uniform(-5, 25))
             elif kind == "cyclist":
                 speed = side * -float(rng.uniform(3.5, 6))
                 lateral = side * (section.road_half_width_m - 0.7)

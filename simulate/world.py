@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drivelog.errors import ConfigError
 from simulate.buildings import backdrop, house
-from simulate.ground import kerb_m, make_ground, make_section
+from simulate.ground import kerb_m, make_ground, make_section, side_street
 from simulate.mesh import Mesh, join
 from simulate.objects import MAKERS, Maker, Wish
 from simulate.route import CrossSection, Route, make_route
@@ -64,6 +64,7 @@ def make_world(scenario: Scenario, seed: int, removed: frozenset[int] = frozense
     )
     section = make_section(scenario.section)
     parts = [make_ground(route, section, scenario.section, np.random.default_rng([seed, 1]))]
+    parts += [side_street(route, section, scenario.section, s) for s in scenario.side_streets]
     objects: list[WorldObject] = []
     blocked: list[tuple[float, float, float]] = []
     for index, spec in enumerate(scenario.houses):
@@ -96,6 +97,14 @@ def _sides(side: str) -> tuple[float, ...]:
     return {"left": (1.0,), "right": (-1.0,), "both": (1.0, -1.0)}[side]
 
 
+def _in_mouth(scenario: Scenario, station_m: float, side: float, reach_m: float) -> bool:
+    """Whether a place lies where a side street joins."""
+    return any(
+        (s.side == "left") == (side > 0) and abs(station_m - s.at_m) < s.width_m / 2 + reach_m
+        for s in scenario.side_streets
+    )
+
+
 def _row(
     row: RowSpec,
     maker: Maker,
@@ -120,11 +129,12 @@ def _row(
             x, y, yaw = (float(v) for v in route.at(np.array(station), lateral))
             wish = Wish(float(np.deg2rad(row.lean_deg)), row.height_m, row.radius_m)
             made_one = maker(rng, wish)
-            station += step
+            here, station = station, station + step
             reach = 2.2 if row.kind.startswith("parked_") else 0.45
             long = row.kind in ("fence", "hedge")
             crowded = any(np.hypot(x - a, y - b) < r + reach for a, b, r in blocked)
-            if rng.uniform() > row.keep or (crowded and not long):
+            mouth = _in_mouth(scenario, here, side, 4.0 if long else reach)
+            if rng.uniform() > row.keep or (crowded and not long) or mouth:
                 continue
             if not long:
                 blocked.append((x, y, reach))
@@ -159,7 +169,11 @@ def _houses(
             stretch = 1.0 - side * abs(lateral) * float(route.curvature_at(middle))
             station += width / max(stretch, 0.3) + float(rng.uniform(*spec.gap_m))
             tight = side * float(route.curvature_at(middle)) > 0.02
-            if rng.uniform() > spec.keep or tight:
+            if (
+                rng.uniform() > spec.keep
+                or tight
+                or _in_mouth(scenario, float(middle), side, width / 2)
+            ):
                 continue
             base = float(section.height_at(lateral)) - 0.1
             parts.append(built.mesh.placed(x, y, base, yaw if side < 0 else yaw + np.pi))
