@@ -48,10 +48,16 @@ class CensusSgm:
         """Both disparity maps of a rectified pair.
 
         Raises:
-            StereoError: images of different size or type, or too small for the search range.
+            StereoError: images of different size or type, or too small for the search range,
+                or with more bits than `uint16_bits`.
         """
         check_pair(left, right, self._config, self._rig)
         bits = 8 if left.dtype == np.uint8 else self._config.uint16_bits
+        if bits < 16 and int(left.max()) >> bits | int(right.max()) >> bits:
+            raise StereoError(
+                f"the images hold values above {2**bits - 1}, more than {bits} bits: "
+                "raise uint16_bits in the stereo settings"
+            )
         maps = self._by_bits[bits].match(np.ascontiguousarray(left), np.ascontiguousarray(right))
         return DisparityPair(*maps)
 
@@ -59,6 +65,8 @@ class CensusSgm:
         config, penalties = self._config, self._config.penalties
         tolerance = config.left_right_tolerance_px
         return self._kernel.CensusMatcher(
+            bits=bits,
+            smoothing=config.smoothing,
             disparities=config.disparities,
             offset=config.min_disparity_px,
             paths=config.paths,

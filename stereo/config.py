@@ -65,6 +65,8 @@ class StereoConfig(BaseModel):
         paths: directions along which costs are summed.
         right_map: `shared` reads the right view from the sums of the left; `own` sums again with
             the right view's edges, which costs twice the time and keeps more thin poles.
+        smoothing: rounds of 1-2-1 smoothing of the image that the census sees; the census of a
+            noisy pixel is noise.
         uint16_bits: how many bits of a 16-bit image the camera fills.
         uniqueness_percent: the best sum of costs must be this much below every other one that is
             not its direct neighbour.
@@ -85,6 +87,7 @@ class StereoConfig(BaseModel):
     paths: Literal[4, 8] = 8
     right_map: Literal["shared", "own"] = "shared"
     penalties: Penalties = Penalties()
+    smoothing: int = Field(default=1, ge=0, le=2)
     uint16_bits: int = Field(default=12, ge=8, le=16)
     subpixel: bool = True
     median: bool = False

@@ -61,7 +61,8 @@ namespace {
 
 struct Loops {
   const char* name;
-  decltype(&baseline::census_rows) census_rows;
+  decltype(&baseline::smooth) smooth;
+  decltype(&baseline::census_transform) census_transform;
   decltype(&baseline::first_pass) first_pass;
   decltype(&baseline::second_pass) second_pass;
 };
@@ -73,12 +74,15 @@ std::vector<Loops> supported_loops() {
   if (__builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
       __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bitalg") &&
       __builtin_cpu_supports("avx512vpopcntdq") && __builtin_cpu_supports("avx512vbmi"))
-    found.push_back({"avx512", avx512::census_rows, avx512::first_pass, avx512::second_pass});
+    found.push_back({"avx512", avx512::smooth, avx512::census_transform, avx512::first_pass,
+                     avx512::second_pass});
   if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"))
-    found.push_back({"avx2", avx2::census_rows, avx2::first_pass, avx2::second_pass});
+    found.push_back({"avx2", avx2::smooth, avx2::census_transform, avx2::first_pass,
+                     avx2::second_pass});
 #endif
   found.push_back(
-      {"baseline", baseline::census_rows, baseline::first_pass, baseline::second_pass});
+      {"baseline", baseline::smooth, baseline::census_transform, baseline::first_pass,
+                     baseline::second_pass});
   return found;
 }
 
@@ -119,6 +123,8 @@ class Aggregation {
     const std::size_t rows = p.height;
     for (View* view : {&left_, &right_}) {
       view->pixels.resize(rows * p.pixel_stride());
+      for (int k = 0; k < p.smoothing; ++k) view->smooth[k].resize(rows * p.pixel_stride());
+      view->scratch.resize(p.pixel_stride());
       view->planes.resize(3 * rows * p.plane_stride() + kLanes);
     }
     volume_.bytes.resize(rows * p.volume_stride());
@@ -146,8 +152,8 @@ class Aggregation {
 
   // Copies an image into its padded rows; `flip` mirrors it.
   template <typename T>
-  static void load(const Problem& p, View& view, const T* image, bool flip, int first, int last) {
-    for (int y = first; y < last; ++y) {
+  static void load(const Problem& p, View& view, const T* image, bool flip) {
+    for (int y = 0; y < p.height; ++y) {
       const T* source = image + static_cast<std::size_t>(y) * p.width;
       u16* row = view.pixels.get() + static_cast<std::size_t>(y) * p.pixel_stride();
       u16* target = row + kLanes;
@@ -165,11 +171,12 @@ class Aggregation {
            bool threads, Maps maps) {
     prepare(p);
     const int middle = p.height / 2;
-    run_together({[&] { load(p, left_, left, flip, 0, p.height); },
-                  [&] { load(p, right_, right, flip, 0, p.height); }},
-                 threads);
-    run_together({[&] { loops.census_rows(p, left_, 0, p.height); },
-                  [&] { loops.census_rows(p, right_, 0, p.height); }},
+    const auto prepare_view = [&](View& view, const T* image) {
+      load(p, view, image, flip);
+      loops.smooth(p, view);
+      loops.census_transform(p, view);
+    };
+    run_together({[&] { prepare_view(left_, left); }, [&] { prepare_view(right_, right); }},
                  threads);
     u8* volume = volume_.bytes.get();
     const int top_rows = middle, bottom_rows = p.height - middle;
@@ -248,7 +255,7 @@ void check_rows(const float* own, const float* other, const u8* unique, float* o
 
 class CensusMatcher {
  public:
-  CensusMatcher(int disparities, int offset, int paths, bool own_right, int p1, int p2_min,
+  CensusMatcher(int bits, int smoothing, int disparities, int offset, int paths, bool own_right, int p1, int p2_min,
                 int gamma, unsigned alpha_q16, int uniqueness_percent, bool subpixel, bool median,
                 float tolerance, int outside_cost, int threads, const std::string& instruction_set)
       : own_right_(own_right),
@@ -260,7 +267,7 @@ class CensusMatcher {
                        (paths == 4 || paths == 8) && p1 >= 0 && p1 <= p2_min && p2_min <= gamma &&
                        gamma <= 85 && uniqueness_percent >= 0 && uniqueness_percent < 100 &&
                        alpha_q16 <= (1u << 24) && outside_cost >= 0 && outside_cost <= 24 &&
-                       threads >= 1;
+                       threads >= 1 && bits >= 1 && bits <= 16 && smoothing >= 0 && smoothing <= 2;
     if (!valid) throw std::invalid_argument("a setting of the census matcher is out of its range");
     problem_.disparities = disparities;
     problem_.offset = offset;
@@ -272,6 +279,11 @@ class CensusMatcher {
     problem_.p2_min = static_cast<u32>(p2_min);
     problem_.gamma = static_cast<u32>(gamma);
     problem_.alpha_q16 = alpha_q16;
+    problem_.smoothing = smoothing;
+    for (int round = 0; round < 2; ++round) {  // each round multiplies by 16
+      problem_.smoothing_shift[round] = std::max(0, bits + 4 - 16);
+      bits = std::min(bits + 4, 16);
+    }
   }
 
   std::string instruction_set() const { return loops_.name; }
@@ -371,9 +383,9 @@ PYBIND11_MODULE(census_kernel, module) {
     return py::cast(names);
   });
   py::class_<CensusMatcher>(module, "CensusMatcher")
-      .def(py::init<int, int, int, bool, int, int, int, unsigned, int, bool, bool, float, int, int,
+      .def(py::init<int, int, int, int, int, bool, int, int, int, unsigned, int, bool, bool, float, int, int,
                     const std::string&>(),
-           py::kw_only(), py::arg("disparities"), py::arg("offset"), py::arg("paths"),
+           py::kw_only(), py::arg("bits"), py::arg("smoothing"), py::arg("disparities"), py::arg("offset"), py::arg("paths"),
            py::arg("own_right"), py::arg("p1"), py::arg("p2_min"), py::arg("gamma"),
            py::arg("alpha_q16"), py::arg("uniqueness_percent"), py::arg("subpixel"),
            py::arg("median"), py::arg("tolerance"), py::arg("outside_cost"), py::arg("threads"),

@@ -15,11 +15,12 @@ namespace census {
 
 using u8 = std::uint8_t;
 using u16 = std::uint16_t;
+using i16 = std::int16_t;
 using u32 = std::uint32_t;
 
 // Every inner loop runs over this many bytes: one AVX-512 register, two of AVX2, four of SSE2.
 constexpr int kLanes = 64;
-constexpr u16 kNoSum = 0xFFFF;
+constexpr i16 kNoSum = 0x7FFF;
 
 // The compilers' portable vectors, for the transposition of bytes only: no loop expresses it.
 typedef u8 Bytes16 __attribute__((vector_size(16)));
@@ -72,6 +73,8 @@ struct Problem {
   int uniqueness_percent;
   u8 p1, outside_cost;
   bool subpixel;
+  int smoothing;           // rounds of 1 2 1 smoothing before the census
+  int smoothing_shift[2];  // bits dropped in each
   u32 p2_min, gamma, alpha_q16;
 
   int paths() const { return 2 * vertical_paths + 2; }
@@ -90,6 +93,7 @@ struct Problem {
 // (planes of rows of plane_stride, first pixel at guard).
 struct View {
   Buffer<u16> pixels;
+  Buffer<u16> smooth[2], scratch;
   Buffer<u8> planes;
 };
 
@@ -104,8 +108,8 @@ struct Scratch {
   Buffer<u8> minima;                   // 2 x 3 x pixel_stride
   Buffer<u8> penalties;                // 3 x pixel_stride: P2, then minimum + P2
   Buffer<u8> cost;                     // one row of matching costs
-  Buffer<u16> sums;                    // disparities x sum_stride
-  Buffer<u16> winners;                 // 6 x (columns + 2 kLanes)
+  Buffer<i16> sums;                    // disparities x sum_stride
+  Buffer<i16> winners;                 // 3 x (columns + 2 kLanes)
   Buffer<u8> strip_planes;             // census bytes of a strip, columns by rows
   Buffer<u8> strip_penalty;
   Buffer<u8> strip_state, strip_block;

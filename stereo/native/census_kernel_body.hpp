@@ -33,36 +33,85 @@ KERNEL_INLINE u8 hamming(u8 a, u8 b, u8 c) {
 }
 #endif
 
-// Sets `bit` in the lanes where the neighbour is darker than the centre.
-KERNEL_INLINE void compare_lanes(const u16* __restrict neighbour, const u16* __restrict centre,
-                                 u16 bit, u16* __restrict bits) {
-  for (int i = 0; i < kLanes; ++i)
-    bits[i] |= static_cast<u16>(-static_cast<u16>(neighbour[i] < centre[i])) & bit;
+// `bit` where the neighbour is darker than the centre.
+KERNEL_INLINE u16 darker(u16 neighbour, u16 centre, u16 bit) {
+  return static_cast<u16>(-static_cast<u16>(neighbour < centre)) & bit;
 }
 
-// Rows [first, last) of the 5x5 census; bit k is set where neighbour k is darker.
-KERNEL_FN void census_rows(const Problem& p, const View& view, int first, int last) {
-  const std::size_t plane = static_cast<std::size_t>(p.height) * p.plane_stride();
-  for (int y = first; y < last; ++y) {
-    const u16* rows[5];
-    for (int dv = -2; dv <= 2; ++dv) {
-      int v = y + dv;
-      v = v < 0 ? 0 : (v >= p.height ? p.height - 1 : v);
-      rows[dv + 2] = view.pixels.get() + static_cast<std::size_t>(v) * p.pixel_stride() + kLanes;
+// One census byte of a row from eight neighbours.
+KERNEL_FN void census_byte(const u16* __restrict n0, const u16* __restrict n1,
+                           const u16* __restrict n2, const u16* __restrict n3,
+                           const u16* __restrict n4, const u16* __restrict n5,
+                           const u16* __restrict n6, const u16* __restrict n7,
+                           const u16* __restrict centre, int count, u8* __restrict out) {
+  for (int x = 0; x < count; x += kLanes)
+    for (int i = x; i < x + kLanes; ++i) {
+      const u16 c = centre[i];
+      out[i] = static_cast<u8>(darker(n0[i], c, 1) | darker(n1[i], c, 2) | darker(n2[i], c, 4) |
+                               darker(n3[i], c, 8) | darker(n4[i], c, 16) | darker(n5[i], c, 32) |
+                               darker(n6[i], c, 64) | darker(n7[i], c, 128));
     }
+}
+
+// out = 1 2 1 of three rows, and in place 1 2 1 along a row of which the guards are filled.
+KERNEL_INLINE void blend_rows(const u16* __restrict above, const u16* __restrict here,
+                              const u16* __restrict below, int shift, int count,
+                              u16* __restrict out) {
+  for (int i = 0; i < count; ++i)
+    out[i] = static_cast<u16>((static_cast<u32>(above[i]) + 2u * here[i] + below[i]) >> shift);
+}
+
+KERNEL_INLINE void blend_columns(const u16* __restrict row, int shift, int count,
+                                 u16* __restrict out) {
+  for (int i = 0; i < count; ++i)
+    out[i] = static_cast<u16>(
+        (static_cast<u32>(row[i - 1]) + 2u * row[i] + row[i + 1]) >> shift);
+}
+
+KERNEL_INLINE int clamp_row(int y, int height) { return y < 0 ? 0 : (y < height ? y : height - 1); }
+
+// The image that the census sees: the pixels, smoothed by 1 2 1 in both directions p.smoothing
+// times. Sums keep their fraction as long as 16 bits allow.
+KERNEL_FN void smooth(const Problem& p, View& view) {
+  const int stride = p.pixel_stride();
+  u16* columns = view.scratch.get();
+  for (int round = 0; round < p.smoothing; ++round) {
+    const u16* source = (round == 0 ? view.pixels : view.smooth[1 - round % 2]).get();
+    u16* target = view.smooth[round % 2].get();
+    const int shift = p.smoothing_shift[round];
+    for (int y = 0; y < p.height; ++y) {
+      const u16* rows[3];
+      for (int k = 0; k < 3; ++k)
+        rows[k] = source + static_cast<std::size_t>(clamp_row(y + k - 1, p.height)) * stride;
+      blend_rows(rows[0], rows[1], rows[2], shift / 2, stride, columns);
+      u16* out = target + static_cast<std::size_t>(y) * stride;
+      blend_columns(columns + 1, shift - shift / 2, stride - 2, out + 1);
+      for (int x = 0; x < kLanes; ++x) out[x] = out[kLanes];
+      for (int x = kLanes + p.width; x < stride; ++x) out[x] = out[kLanes + p.width - 1];
+    }
+  }
+}
+
+// The 5x5 census of a view; bit k is set where neighbour k is darker.
+KERNEL_FN void census_transform(const Problem& p, const View& view) {
+  const std::size_t plane = static_cast<std::size_t>(p.height) * p.plane_stride();
+  const u16* image =
+      (p.smoothing == 0 ? view.pixels : view.smooth[(p.smoothing - 1) % 2]).get() + kLanes;
+  for (int y = 0; y < p.height; ++y) {
+    const u16* rows[5];
+    for (int dv = -2; dv <= 2; ++dv)
+      rows[dv + 2] = image + static_cast<std::size_t>(clamp_row(y + dv, p.height)) * p.pixel_stride();
     u8* out = view.planes.get() + static_cast<std::size_t>(y) * p.plane_stride() + p.guard();
-    for (int x = 0; x < p.columns(); x += kLanes)
-      for (int j = 0; j < 3; ++j) {
-        u16 bits[kLanes] = {};
-        for (int k = 0; k < 8; ++k) {
-          const int number = 8 * j + k;
-          const int place = number < 12 ? number : number + 1;  // the centre is no neighbour
-          compare_lanes(rows[place / 5] + x + place % 5 - 2, rows[2] + x,
-                        static_cast<u16>(1u << k), bits);
-        }
-        u8* target = out + j * plane + x;
-        for (int i = 0; i < kLanes; ++i) target[i] = static_cast<u8>(bits[i]);
+    for (int j = 0; j < 3; ++j) {
+      const u16* n[8];
+      for (int k = 0; k < 8; ++k) {
+        const int number = 8 * j + k;
+        const int place = number < 12 ? number : number + 1;  // the centre is no neighbour
+        n[k] = rows[place / 5] + place % 5 - 2;
       }
+      census_byte(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], rows[2], p.columns(),
+                  out + j * plane);
+    }
   }
 }
 
@@ -364,54 +413,62 @@ KERNEL_FN void sum_row(const Problem& p, const View& left, const View& right, in
     const u8* __restrict a = first + static_cast<std::size_t>(d) * columns;
     const u8* __restrict b = second + static_cast<std::size_t>(d) * columns;
     const u8* __restrict c = horizontal + static_cast<std::size_t>(d) * columns;
-    u16* __restrict sum = s.sums.get() + static_cast<std::size_t>(d) * p.sum_stride();
+    i16* __restrict sum = s.sums.get() + static_cast<std::size_t>(d) * p.sum_stride();
     for (int x = 0; x < columns; x += kLanes)
       for (int i = x; i < x + kLanes; ++i)
-        sum[i] = static_cast<u16>(a[i] + b[i] + c[i] + static_cast<u8>(cost[i] * paths));
+        sum[i] = static_cast<i16>(a[i] + b[i] + c[i] + static_cast<u8>(cost[i] * paths));
     const int outside = d + p.offset < p.width ? d + p.offset : p.width;
     for (int x = 0; x < outside; ++x) sum[x] = kNoSum;
     for (int x = p.width; x < p.sum_stride(); ++x) sum[x] = kNoSum;
   }
 }
 
+KERNEL_INLINE void keep_better(const i16* __restrict sum, i16 number, int count,
+                               i16* __restrict best, i16* __restrict index) {
+  for (int x = 0; x < count; x += kLanes)
+    for (int i = x; i < x + kLanes; ++i) {
+      index[i] = sum[i] < best[i] ? number : index[i];
+      best[i] = sum[i] < best[i] ? sum[i] : best[i];
+    }
+}
+
+// The best sum that is not a neighbour of the winner.
+KERNEL_INLINE void keep_rival(const i16* __restrict sum, i16 number, int count,
+                              const i16* __restrict index, i16* __restrict second) {
+  for (int x = 0; x < count; x += kLanes)
+    for (int i = x; i < x + kLanes; ++i) {
+      const i16 distance = static_cast<i16>(number - index[i]);
+      const bool near = (distance < 2) & (distance > -2);
+      const i16 rival = static_cast<i16>(sum[i] | (-static_cast<i16>(near) & kNoSum));
+      second[i] = rival < second[i] ? rival : second[i];
+    }
+}
+
 // Best disparity of each pixel of one view; sums of the right view lie on the diagonals x = xr + d.
-KERNEL_FN void find_winners(const Problem& p, const u16* sums, bool right, u16* __restrict best,
-                            u16* __restrict index, u16* __restrict second) {
-  const int columns = p.columns();
-  for (int x = 0; x < columns; ++x) best[x] = second[x] = kNoSum, index[x] = 0;
+KERNEL_FN void find_winners(const Problem& p, const i16* sums, bool right, i16* best, i16* index,
+                            i16* second) {
+  for (int x = 0; x < p.columns(); ++x) best[x] = second[x] = kNoSum, index[x] = 0;
   for (int d = 0; d < p.disparities; ++d) {
     const int shift = right ? d + p.offset : 0;
-    const u16* __restrict sum = sums + static_cast<std::size_t>(d) * p.sum_stride() + shift;
-    const u16 number = static_cast<u16>(d);
-    const int end = p.width > shift ? round_up(p.width - shift, kLanes) : 0;
-    for (int x = 0; x < end; x += kLanes)
-      for (int i = x; i < x + kLanes; ++i) {
-        const bool better = sum[i] < best[i];
-        index[i] = better ? number : index[i];
-        best[i] = better ? sum[i] : best[i];
-      }
+    const int count = p.width > shift ? round_up(p.width - shift, kLanes) : 0;
+    keep_better(sums + static_cast<std::size_t>(d) * p.sum_stride() + shift, static_cast<i16>(d),
+                count, best, index);
   }
   for (int d = 0; d < p.disparities; ++d) {
     const int shift = right ? d + p.offset : 0;
-    const u16* __restrict sum = sums + static_cast<std::size_t>(d) * p.sum_stride() + shift;
-    const u16 next = static_cast<u16>(d + 1);
-    const int end = p.width > shift ? round_up(p.width - shift, kLanes) : 0;
-    for (int x = 0; x < end; x += kLanes)
-      for (int i = x; i < x + kLanes; ++i) {
-        const u16 distance = static_cast<u16>(next - index[i]);  // 0, 1, 2 for the neighbours
-        const u16 rival = distance > 2 ? sum[i] : kNoSum;
-        second[i] = rival < second[i] ? rival : second[i];
-      }
+    const int count = p.width > shift ? round_up(p.width - shift, kLanes) : 0;
+    keep_rival(sums + static_cast<std::size_t>(d) * p.sum_stride() + shift, static_cast<i16>(d),
+               count, index, second);
   }
 }
 
-KERNEL_FN void write_winners(const Problem& p, const u16* sums, bool right, const u16* best,
-                             const u16* index, const u16* second, float* disparity, u8* margin,
+KERNEL_FN void write_winners(const Problem& p, const i16* sums, bool right, const i16* best,
+                             const i16* index, const i16* second, float* disparity, u8* margin,
                              u8* unique) {
   const int stride = p.sum_stride();
   const u32 keep = static_cast<u32>(100 - p.uniqueness_percent);
   for (int x = 0; x < p.width; ++x) {
-    const u32 b = best[x], rival = second[x];
+    const u32 b = static_cast<u32>(best[x]), rival = static_cast<u32>(second[x]);
     if (b == kNoSum) {
       disparity[x] = __builtin_nanf("");
       margin[x] = unique[x] = 0;
@@ -421,7 +478,7 @@ KERNEL_FN void write_winners(const Problem& p, const u16* sums, bool right, cons
     float fraction = 0.0f;
     if (p.subpixel && d > 0 && d + 1 < p.disparities) {
       const int step = right ? stride + 1 : stride;
-      const u16* here = sums + static_cast<std::size_t>(d) * stride + x + (right ? d + p.offset : 0);
+      const i16* here = sums + static_cast<std::size_t>(d) * stride + x + (right ? d + p.offset : 0);
       const int below = here[-step], above = here[step];
       const int bend = below + above - 2 * static_cast<int>(b);
       if (below != kNoSum && above != kNoSum && bend > 0)
@@ -450,7 +507,7 @@ KERNEL_FN void first_pass(const Problem& p, const View& left, const View& right,
 KERNEL_FN void second_pass(const Problem& p, const View& left, const View& right, int begin,
                            int end, int step, int phase, Scratch& s, const u8* volume, Maps maps) {
   const int lanes = p.columns() + 2 * kLanes;
-  u16* w = s.winners.get();
+  i16* w = s.winners.get();
   u8* excess = s.strip_block.get();
   int strip_first = 0, strip_rows = 0;
   for (int y = begin; y != end; y += step, phase ^= 1) {

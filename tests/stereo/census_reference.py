@@ -8,13 +8,15 @@ import numpy as np
 
 from stereo.census import census_planes
 
-NO_SUM = 0xFFFF
+NO_SUM = 0x7FFF
 EIGHT = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]
 
 
 @dataclass
 class Settings:
-    disparities: int
+    bits: int = 8
+    smoothing: int = 1
+    disparities: int = 16
     offset: int = 0
     paths: int = 8
     own_right: bool = False
@@ -29,10 +31,23 @@ class Settings:
     outside_cost: int = 12
 
 
+def smooth(image, s):
+    """1-2-1 along columns and rows, `s.smoothing` times, keeping as many bits as 16 allow."""
+    bits, out = s.bits, image.astype(np.int64)
+    for _ in range(s.smoothing):
+        shift = max(bits + 4 - 16, 0)
+        padded = np.pad(out, ((1, 1), (0, 0)), mode="edge")
+        out = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) >> (shift // 2)
+        padded = np.pad(out, ((0, 0), (1, 1)), mode="edge")
+        out = (padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]) >> (shift - shift // 2)
+        bits = min(bits + 4, 16)
+    return out.astype(np.uint16)
+
+
 def cost_volume(left, right, s):
     """`(height, width, disparities)` Hamming distances; `outside_cost` without a partner."""
-    bits_left = np.unpackbits(census_planes(left), axis=0)
-    bits_right = np.unpackbits(census_planes(right), axis=0)
+    bits_left = np.unpackbits(census_planes(smooth(left, s)), axis=0)
+    bits_right = np.unpackbits(census_planes(smooth(right, s)), axis=0)
     height, width = left.shape
     cost = np.full((height, width, s.disparities), s.outside_cost, dtype=np.int64)
     for d in range(s.disparities):

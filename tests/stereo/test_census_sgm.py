@@ -32,6 +32,8 @@ def problems(draw):
     p1 = draw(st.integers(0, 40))
     p2_min = draw(st.integers(p1, 60))
     options = reference.Settings(
+        bits=bits,
+        smoothing=draw(st.integers(0, 2)),
         disparities=draw(st.sampled_from([1, 2, 16, 33, 64])),
         offset=draw(st.sampled_from([0, 3, 20])),
         paths=draw(st.sampled_from([4, 8])),
