@@ -11,6 +11,9 @@ from tempfile import mkdtemp
 
 from drivelog.errors import InputError
 
+# stands in every folder written here, and says that it may be replaced
+MARKER = ".polemap"
+
 
 def _temporary(path: Path) -> Path:
     """A fresh folder beside `path`, so that the rename stays on one file system."""
@@ -44,21 +47,28 @@ def atomic_file(path: Path) -> Iterator[Path]:
 def atomic_folder(path: Path) -> Iterator[Path]:
     """A temporary folder to fill; it becomes `path` when the block ends well, else it goes.
 
-    A folder that stood there before is replaced as a whole.
+    A folder that this function made before is replaced as a whole; one that holds anything else
+    is left alone.
 
     Raises:
-        InputError: the place cannot be written to, or a file stands there.
+        InputError: the place cannot be written to, or a file or somebody's folder stands there.
     """
-    path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: is a file, a folder is to be written there")
+    path = Path(path).absolute()
     if path.is_symlink():
         path = path.resolve()
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: is a file, a folder is to be written there")
+    if path.exists() and not (path / MARKER).exists() and any(path.iterdir()):
+        raise InputError(
+            f"{path}: holds files that polemap did not write and would replace; choose another "
+            "folder, or empty this one"
+        )
     folder = _temporary(path)
     try:
         part = folder / path.name
         part.mkdir()
         yield part
+        (part / MARKER).write_text("made by polemap, which may replace this folder\n")
         if path.exists():
             os.replace(path, folder / "replaced")
         os.replace(part, path)

@@ -1,0 +1,57 @@
+"""Results appear whole or not at all, and nobody's files are lost to them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivelog.atomic import atomic_file, atomic_folder
+from drivelog.errors import InputError
+
+
+def test_a_file_appears_only_when_its_block_ends_well(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "a.csv"
+    with pytest.raises(ZeroDivisionError), atomic_file(target) as part:
+        part.write_text("half")
+        1 / 0  # noqa: B018
+    assert list(target.parent.iterdir()) == []
+    with atomic_file(target) as part:
+        part.write_text("whole")
+        assert not target.exists()
+    assert target.read_text() == "whole"
+    assert [p.name for p in target.parent.iterdir()] == ["a.csv"]
+
+
+def test_a_failed_rewrite_keeps_the_old_folder(tmp_path: Path) -> None:
+    target = tmp_path / "run"
+    with atomic_folder(target) as part:
+        (part / "a").write_text("old")
+    with pytest.raises(ZeroDivisionError), atomic_folder(target) as part:
+        (part / "a").write_text("new")
+        1 / 0  # noqa: B018
+    assert (target / "a").read_text() == "old"
+    with atomic_folder(target) as part:
+        (part / "b").write_text("new")
+    assert sorted(p.name for p in target.iterdir()) == [".polemap", "b"]
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_folder_of_the_users_own_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with (
+        pytest.raises(InputError, match="holds files that polemap did not write"),
+        atomic_folder(tmp_path),
+    ):
+        pass
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("")
+    with pytest.raises(InputError, match="x: is a file"), atomic_folder(tmp_path / "x"):
+        pass
+    with pytest.raises(InputError, match="is a folder"), atomic_file(tmp_path):
+        pass
+    with pytest.raises(InputError, match="cannot be written"), atomic_file(tmp_path / "x" / "y"):
+        pass
