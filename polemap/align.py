@@ -72,7 +72,8 @@ def register(moving_m: Floats, fixed_m: Floats, most_m: float, inlier_m: float =
     sd, matches = float("inf"), 0
     for limit in (2.0 * inlier_m, inlier_m, inlier_m, inlier_m / 2.0, inlier_m / 2.0):
         placed = Shift((move[0], move[1]), yaw, (centre[0], centre[1]), 0.0, 0).points(moving_m)
-        distance, row = tree.query(placed, distance_upper_bound=limit)
+        found: tuple[Any, Any] = tree.query(placed, distance_upper_bound=limit)
+        distance, row = found
         inlier = np.isfinite(distance)
         matches = int(np.count_nonzero(inlier))
         if matches < _MATCHES_MIN:
@@ -97,8 +98,8 @@ def _vote(moving: Floats, fixed: Floats, tree: KDTree, most_m: float) -> Floats:
     middle = (edges[1:] + edges[:-1]) / 2.0
     east, north = np.meshgrid(middle, middle, indexing="ij")
     # where votes tie, the smaller shift is the likelier one
-    order = np.lexsort((np.hypot(east, north).ravel(), -np.round(votes, 6).ravel()))
-    best = int(np.atleast_1d(order)[0])
+    order: Any = np.lexsort((np.hypot(east, north).ravel(), -np.round(votes, 6).ravel()))
+    best = int(order[0])
     top = np.array([east.ravel()[best], north.ravel()[best]])
     near = np.linalg.norm(difference - top, axis=1) <= 2.5 * _CELL_M
     return np.asarray(np.median(difference[near], axis=0) if near.any() else np.zeros(2))

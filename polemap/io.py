@@ -189,3 +189,4 @@ _READERS = {
     ".csv": _read_csv,
 }
 _WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
+MAP_ENDINGS = tuple(sorted(_READERS))

@@ -29,7 +29,7 @@ class MappingConfig(BaseModel):
     observations_min: int = Field(8, ge=1, description="A pole seen less often is not mapped.")
     existence_min: float = Field(0.5, ge=0.0, le=1.0, description="Least to stay in the map.")
     false_alarm_probability: float = Field(
-        0.03, gt=0.0, lt=0.5, description="Of seeing something where no pole stands, a look."
+        0.04, gt=0.0, lt=0.5, description="Of seeing something where no pole stands, a look."
     )
     independent_look_s: float = Field(
         0.5, gt=0.0, description="Looks closer together share what hides a pole."

@@ -61,21 +61,6 @@ class PassLandmarks:
         return len(self.points_m)
 
 
-@dataclass(slots=True)
-class _Open:
-    """A landmark while its pass goes on; information form."""
-
-    number: int
-    information: Floats
-    vector: Floats
-    best_m2: Floats
-    last_s: float
-
-    @property
-    def point(self) -> Floats:
-        return np.asarray(np.linalg.solve(self.information, self.vector))
-
-
 def associate(sightings: Sightings, config: MappingConfig) -> Whole:
     """Number of the pass landmark that each sighting belongs to, `(n,)`.
 
@@ -83,53 +68,87 @@ def associate(sightings: Sightings, config: MappingConfig) -> Whole:
     gated Mahalanobis distances), so that two poles beside each other stay two.
     """
     gate = float(chi2.ppf(config.gate_probability, 2))
-    slack = np.eye(2) * config.gate_slack_m**2
     numbers = np.full(len(sightings), -1, dtype=np.int64)
-    open_landmarks: list[_Open] = []
-    count = 0
+    book = _Book(len(sightings))
     starts = np.searchsorted(sightings.look, np.arange(len(sightings.looks) + 1))
     for look in np.unique(sightings.look):
         rows = np.arange(starts[look], starts[look + 1])
-        stamp = float(sightings.looks.stamp_s[look])
-        open_landmarks = [o for o in open_landmarks if stamp - o.last_s <= config.pass_gap_s]
-        for row, landmark in _match(sightings, rows, open_landmarks, gate, slack):
-            if landmark is None:
-                zero = np.zeros((2, 2))
-                landmark = _Open(count, zero, np.zeros(2), sightings.covariance_m2[row], stamp)
-                open_landmarks.append(landmark)
-                count += 1
-            _absorb(landmark, sightings.points_m[row], sightings.covariance_m2[row], stamp)
-            numbers[row] = landmark.number
+        points, covariance = sightings.points_m[rows], sightings.covariance_m2[rows]
+        book.forget(float(sightings.looks.stamp_s[look]) - config.pass_gap_s)
+        distance = book.distances(points, covariance, config.gate_slack_m)
+        chosen = _assign(distance, gate)
+        numbers[rows] = book.absorb(
+            points, covariance, chosen, float(sightings.looks.stamp_s[look])
+        )
     return numbers
 
 
-def _absorb(landmark: _Open, point: Floats, covariance: Floats, stamp: float) -> None:
-    information = np.linalg.inv(covariance)
-    landmark.information = landmark.information + information
-    landmark.vector = landmark.vector + information @ point
-    landmark.last_s = stamp
-    if np.trace(covariance) < np.trace(landmark.best_m2):
-        landmark.best_m2 = covariance
+def _assign(distance: Floats, gate: float) -> Whole:
+    """Column for each row of the gated costs, -1 where none fits; optimal over the whole look."""
+    chosen = np.full(len(distance), -1, dtype=np.int64)
+    if not distance.shape[1]:
+        return chosen
+    inside = distance < gate
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not len(rows):
+        return chosen
+    cost = np.where(inside, distance, 10.0 * gate)[np.ix_(rows, columns)]
+    first, second = linear_sum_assignment(cost)
+    fits = cost[first, second] < gate
+    chosen[rows[first[fits]]] = columns[second[fits]]
+    return chosen
 
 
-def _match(
-    sightings: Sightings, rows: Whole, landmarks: list[_Open], gate: float, slack: Floats
-) -> list[tuple[int, _Open | None]]:
-    """Each row of a look with its landmark, or with None where a new one begins."""
-    if not landmarks:
-        return [(int(row), None) for row in rows]
-    points = np.stack([landmark.point for landmark in landmarks])
-    # neighbouring sightings err alike: a landmark is not trusted below half of its best one
-    own = np.stack([landmark.best_m2 for landmark in landmarks]) * 0.25
-    offset = sightings.points_m[rows][:, None] - points[None]
-    spread = sightings.covariance_m2[rows][:, None] + own[None] + slack
-    distance = np.einsum("ijk,ijk->ij", offset, np.linalg.solve(spread, offset[..., None])[..., 0])
-    cost = np.where(distance < gate, distance, 10.0 * gate)
-    chosen = dict(zip(*(side.tolist() for side in linear_sum_assignment(cost)), strict=True))
-    return [
-        (int(row), landmarks[chosen[i]] if i in chosen and cost[i, chosen[i]] < gate else None)
-        for i, row in enumerate(rows)
-    ]
+class _Book:
+    """The landmarks of a drive while their passes go on, in information form."""
+
+    def __init__(self, capacity: int) -> None:
+        self._information = np.zeros((capacity, 3))  # ee, nn, en
+        self._vector = np.zeros((capacity, 2))
+        self._best = np.full((capacity, 3), np.inf)  # covariance of the best sighting
+        self._last_s = np.full(capacity, -np.inf)
+        self._active = np.empty(0, dtype=np.int64)
+        self._count = 0
+
+    def forget(self, before_s: float) -> None:
+        """Close the passes of landmarks that were last seen before."""
+        self._active = self._active[self._last_s[self._active] >= before_s]
+
+    def distances(self, points: Floats, covariance: Floats, slack_m: float) -> Floats:
+        """Squared Mahalanobis distances `(rows, active)` of a look's sightings."""
+        info = self._information[self._active]
+        det = info[:, 0] * info[:, 1] - info[:, 2] ** 2
+        vector = self._vector[self._active]
+        east = (info[:, 1] * vector[:, 0] - info[:, 2] * vector[:, 1]) / det
+        north = (info[:, 0] * vector[:, 1] - info[:, 2] * vector[:, 0]) / det
+        # neighbouring sightings err alike: a landmark is not trusted below half of its best one
+        own = 0.25 * self._best[self._active] + np.array([slack_m**2, slack_m**2, 0.0])
+        ee = covariance[:, None, 0, 0] + own[None, :, 0]
+        nn = covariance[:, None, 1, 1] + own[None, :, 1]
+        en = covariance[:, None, 0, 1] + own[None, :, 2]
+        de, dn = points[:, None, 0] - east, points[:, None, 1] - north
+        return np.asarray((de**2 * nn - 2.0 * de * dn * en + dn**2 * ee) / (ee * nn - en**2))
+
+    def absorb(self, points: Floats, covariance: Floats, chosen: Whole, stamp_s: float) -> Whole:
+        """Add a look's sightings to their landmarks, or begin new ones; their numbers."""
+        fresh = np.flatnonzero(chosen < 0)
+        numbers = np.empty(len(points), dtype=np.int64)
+        numbers[chosen >= 0] = self._active[chosen[chosen >= 0]]
+        numbers[fresh] = self._count + np.arange(len(fresh))
+        self._count += len(fresh)
+        self._active = np.concatenate([self._active, numbers[fresh]])
+        ee, nn, en = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+        det = ee * nn - en**2
+        information = np.stack([nn / det, ee / det, -en / det], axis=1)
+        east = information[:, 0] * points[:, 0] + information[:, 2] * points[:, 1]
+        north = information[:, 2] * points[:, 0] + information[:, 1] * points[:, 1]
+        # one sighting a landmark a look, so that plain indexing adds each of them
+        self._information[numbers] += information
+        self._vector[numbers] += np.stack([east, north], axis=1)
+        better = ee + nn < self._best[numbers, 0] + self._best[numbers, 1]
+        self._best[numbers[better]] = np.stack([ee, nn, en], axis=1)[better]
+        self._last_s[numbers] = stamp_s
+        return numbers
 
 
 def correlation_length(sightings: Sightings, numbers: Whole, points_m: Floats) -> float:

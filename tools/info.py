@@ -1,0 +1,166 @@
+"""`polemap info`: what is inside a drive or a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from drivelog.drive import Drive, open_drive
+from drivelog.frames import convergence_rad, geographic_from_grid, point_scale
+from polemap.history import COLUMN
+from polemap.io import MAP_ENDINGS, read_map
+from polemap.landmark_map import PoleMap
+from tools.settings import SeedOption
+
+Floats = NDArray[np.float64]
+
+_GAP_PERIODS = 3.0
+
+
+def command(
+    path: Annotated[Path, typer.Argument(help="A drive of any known kind, or a map.")],
+    frame_of: Annotated[
+        Path | None, typer.Option("--drive", help="The drive that a CSV map belongs to.")
+    ] = None,
+    seed: SeedOption = 0,
+) -> None:
+    """Say what is inside a drive (streams, rates, gaps, extent, calibration) or a map.
+
+    Examples:
+        polemap info drives/monday
+        polemap info campus.gpkg
+        polemap info poles.csv --drive drives/monday
+    """
+    if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
+        frame = open_drive(frame_of, seed=seed).frame if frame_of is not None else None
+        lines = describe_map(read_map(path, frame, allow_empty=True), path)
+    else:
+        lines = describe_drive(open_drive(path, seed=seed))
+    typer.echo("\n".join(lines))
+
+
+def describe_drive(drive: Drive) -> list[str]:
+    """What a drive holds, a line a fact."""
+    start, _ = drive.span_s
+    lines = [
+        f"drive      {drive.name} ({drive.path})",
+        f"frame      {drive.frame}",
+        f"duration   {drive.duration_s:.1f} s from stamp {start:.3f}",
+        f"vehicle    wheelbase {drive.wheelbase_m:.2f} m",
+    ]
+    lines += _camera(drive)
+    if drive.has_frames:
+        numbers = drive.frame_numbers
+        detail = f"numbers {numbers[0]} to {numbers[-1]}"
+        lines.append(_stream("images", drive.frame_stamps_s, drive.frame_arrivals_s, detail))
+    if drive.odometry is not None and len(drive.odometry):
+        speed = drive.odometry.speed_mps
+        detail = f"speed {speed.min():.1f} to {speed.max():.1f} m/s"
+        lines.append(_stream("odometry", drive.odometry.stamp_s, drive.odometry.arrival_s, detail))
+    if drive.gnss is not None and len(drive.gnss):
+        x, y = drive.gnss_antenna_m
+        detail = f"antenna at {x:.2f}, {y:.2f} m"
+        lines.append(_stream("gnss", drive.gnss.stamp_s, drive.gnss.arrival_s, detail))
+    if drive.reference is not None and len(drive.reference):
+        lines += _reference(drive)
+    if drive.scans:
+        stamps = np.array([scan.stamp_s for scan in drive.scans])
+        arrivals = np.array([scan.arrival_s for scan in drive.scans])
+        poles = sum(len(scan) for scan in drive.scans)
+        lines.append(_stream("pole scans", stamps, arrivals, f"{poles} poles"))
+    lines += [
+        f"lap        {lap.name}: {lap.start_s:.2f} to {lap.end_s:.2f} s" for lap in drive.laps
+    ]
+    lines += [f"note       {note}" for note in drive.notes]
+    lines += [f"left out   {n} x {kind.replace('_', ' ')}" for kind, n in drive.problems.items()]
+    return lines
+
+
+def _camera(drive: Drive) -> list[str]:
+    if drive.rig is None:
+        return ["camera     none"]
+    rig, mount = drive.rig, drive.rig.vehicle_from_camera
+    angles = np.degrees([mount.roll_rad, mount.pitch_rad, mount.yaw_rad])
+    return [
+        f"camera     {rig.width_px}x{rig.height_px}, focal length {rig.focal_px:.1f} px, "
+        f"baseline {rig.baseline_m:.3f} m",
+        f"mounting   {mount.x_m:.2f} m ahead, {mount.y_m:.2f} m left, {mount.z_m:.2f} m up; roll "
+        f"{angles[0]:.2f}, pitch {angles[1]:.2f}, yaw {angles[2]:.2f} degrees",
+    ]
+
+
+def _stream(name: str, stamps: Floats, arrivals: Floats, detail: str) -> str:
+    text = f"{name:<10} {len(stamps)}"
+    if len(stamps) > 1:
+        step = np.diff(stamps)
+        period = float(np.median(step))
+        text += f" at {1.0 / period:.1f} Hz" if period > 0 else ""
+        gaps = step[step > _GAP_PERIODS * period]
+        text += f", {len(gaps)} gaps to {gaps.max():.1f} s" if len(gaps) else ", no gaps"
+    late = arrivals - stamps
+    if len(late) and late.max() > 0.0:
+        text += f", {1000 * np.median(late):.0f} ms late"
+    return f"{text}; {detail}"
+
+
+def _reference(drive: Drive) -> list[str]:
+    reference = drive.reference
+    if reference is None:
+        return []
+    points = reference.poses[:, :2]
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    sd = reference.sd_m[np.isfinite(reference.sd_m)]
+    accuracy = f"states {np.median(sd):.3f} m" if len(sd) else "states no accuracy"
+    lines = [
+        _stream("reference", reference.stamp_s, reference.stamp_s, f"{length:.0f} m, {accuracy}")
+    ]
+    return lines + _extent(drive, points)
+
+
+def _extent(where: Drive | PoleMap, points: Floats) -> list[str]:
+    low, high = points.min(axis=0), points.max(axis=0)
+    lines = [
+        f"extent     east {low[0]:.1f} to {high[0]:.1f} m, north {low[1]:.1f} to {high[1]:.1f} m"
+    ]
+    if where.frame.is_utm:
+        middle = ((low + high) / 2.0)[None]
+        latitude, longitude = geographic_from_grid(where.frame, middle)[0]
+        turn = np.degrees(convergence_rad(where.frame, middle)[0])
+        lines.append(
+            f"grid       middle {latitude:.6f}, {longitude:.6f} degrees; convergence {turn:.3f} "
+            f"degrees, point scale {point_scale(where.frame, middle)[0]:.6f}"
+        )
+    return lines
+
+
+def describe_map(pole_map: PoleMap, path: Path) -> list[str]:
+    """What a map holds, a line a fact."""
+    lines = [f"map        {path}", f"frame      {pole_map.frame}", f"poles      {len(pole_map)}"]
+    if len(pole_map):
+        lines += _extent(pole_map, pole_map.points_m)
+        sd = np.sqrt(np.trace(pole_map.covariance_m2, axis1=1, axis2=2) / 2.0)
+        low, middle, high = np.percentile(sd, [5, 50, 95])
+        lines.append(f"position   sd {low:.3f} / {middle:.3f} / {high:.3f} m an axis (5, 50, 95 %)")
+        for name, values in (("width", pole_map.width_m), ("height", pole_map.height_m)):
+            known = values[np.isfinite(values)]
+            if len(known):
+                low, middle, high = np.percentile(known, [5, 50, 95])
+                lines.append(
+                    f"{name:<10} {low:.2f} / {middle:.2f} / {high:.2f} m, {len(known)} poles"
+                )
+        lines.append(
+            f"evidence   {int(pole_map.observations.sum())} observations, at most "
+            f"{int(pole_map.drives.max())} drives a pole, existence {pole_map.existence.min():.2f} "
+            f"to {pole_map.existence.max():.2f}"
+        )
+        if pole_map.tree is not None and len(pole_map) > 1:
+            nearest: Any = pole_map.tree.query(pole_map.points_m, k=2)[0]
+            lines.append(f"spacing    median {np.median(nearest[:, 1]):.1f} m to the next pole")
+    further = [name for name in pole_map.extra if name != COLUMN]
+    if further:
+        lines.append(f"columns    {', '.join(further)}")
+    return lines + [f"note       {note}" for note in pole_map.notes]
