@@ -34,17 +34,17 @@ class CameraConfig(_Section):
     mount_pitch_rad: float = 0.0
     frame_rate_hz: Positive = 11.0
     bits: Literal[8, 12] = 8
-    tone_exponent: Annotated[float, Field(gt=0.3, le=1.0)] = 0.75
+    tone_exponent: Annotated[float, Field(gt=0.3, le=1.0)] = 0.9
     target_level: Annotated[float, Field(gt=0.02, lt=0.9)] = 0.36
     exposure_wander: NotNegative = 0.12
-    full_well_e: Positive = 6000.0
+    full_well_e: Positive = 8000.0
     read_noise_e: NotNegative = 9.0
     fixed_pattern: NotNegative = 0.006
     blur_px: NotNegative = 0.55
     vignetting: Share = 0.18
     right_gain_sd: NotNegative = 0.06
     right_offset_sd: NotNegative = 0.006
-    calibration_error_deg: NotNegative = 0.01
+    calibration_error_deg: NotNegative = 0.004
     motion_blur_s: NotNegative = 0.0
 
     def rig(self) -> StereoRig:

@@ -72,7 +72,7 @@ class Lighting:
         """Radiance of the sky `(n,)` along directions `(n, 3)` of any length."""
         length = np.sqrt(np.einsum("ij,ij->i", direction, direction))
         rise = np.clip(direction[:, 2] / length, 0.0, 1.0)
-        base = self.ambient * (2.9 - 1.2 * np.sqrt(rise))
+        base = self.ambient * (4.6 - 2.2 * np.sqrt(rise))
         if self.dusk:
             toward = direction[:, :2] @ self.to_sun[:2] / length
             base = base * (0.55 + 0.45 * np.clip(toward, 0, 1)) * (1 - 0.5 * rise)
@@ -97,7 +97,7 @@ class Lighting:
         cosine = np.maximum(cosine, cosine * (leafy * np.float32(-_TRANSLUCENT)))
         light = np.asarray(
             self.ambient * (0.55 + 0.45 * normals[:, 2])
-            + 0.10 * self.sun * (1 - normals[:, 2]) * 0.5,
+            + 0.03 * self.sun * (1 - normals[:, 2]),
             dtype=np.float32,
         )
         sunny = np.flatnonzero(cosine > 0.0)

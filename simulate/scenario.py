@@ -106,7 +106,7 @@ class LightSpec(_Part):
     sun_elevation_deg: Annotated[float, Field(ge=2, le=89)] = 42.0
     sun_azimuth_deg: float = 210.0
     sun: NotNegative = 1.0
-    sky: NotNegative = 0.30
+    sky: NotNegative = 0.19
     clouds: Share = 0.4
     dusk: bool = False
 

@@ -79,14 +79,14 @@ def _grid(
 
 
 def _asphalt(rng: np.random.Generator) -> Texture:
-    grain = 1 + 0.16 * fractal(rng, 0.15) + 0.10 * fractal(rng, 1.0)
+    grain = 1 + 0.10 * fractal(rng, 0.15) + 0.06 * fractal(rng, 1.0)
     cracks = np.abs(fractal(rng, 1.6)) < 0.012
     grain[cracks] *= 0.6
     return 0.26 * grain
 
 
 def _worn_asphalt(rng: np.random.Generator) -> Texture:
-    grain = 1 + 0.22 * fractal(rng, 0.2) + 0.16 * fractal(rng, 1.2)
+    grain = 1 + 0.13 * fractal(rng, 0.2) + 0.09 * fractal(rng, 1.2)
     cracks = np.abs(fractal(rng, 1.5)) < 0.03
     grain[cracks] *= 0.5
     return 0.33 * grain
@@ -111,11 +111,11 @@ def _gravel(rng: np.random.Generator) -> Texture:
 
 
 def _leaves(rng: np.random.Generator) -> Texture:
-    return 0.26 * dead_leaves(rng, 5000, (4, 26), 0.55)
+    return 0.26 * dead_leaves(rng, 5000, (4, 26), 0.75)
 
 
 def _foliage(rng: np.random.Generator) -> Texture:
-    return 0.20 * dead_leaves(rng, 6500, (3, 40), 0.6) * (1 + 0.3 * fractal(rng, 1.8))
+    return 0.20 * dead_leaves(rng, 6500, (3, 40), 0.8) * (1 + 0.3 * fractal(rng, 1.8))
 
 
 def _bark(rng: np.random.Generator) -> Texture:
