@@ -96,8 +96,7 @@ class Lighting:
         cosine = _dot(normals, self.to_sun)
         cosine = np.maximum(cosine, cosine * (leafy * np.float32(-_TRANSLUCENT)))
         light = np.asarray(
-            self.ambient * (0.55 + 0.45 * normals[:, 2])
-            + 0.03 * self.sun * (1 - normals[:, 2]),
+            self.ambient * (0.55 + 0.45 * normals[:, 2]) + 0.03 * self.sun * (1 - normals[:, 2]),
             dtype=np.float32,
         )
         sunny = np.flatnonzero(cosine > 0.0)

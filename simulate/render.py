@@ -69,6 +69,8 @@ class Renderer:
         self._pixels = pixels
         self._shifts = _shifts(self.options.edge_rays)
         self._leafy = np.zeros(len(TILES), dtype=np.bool_)
+        self._gloss = np.zeros(len(TILES), dtype=np.float32)
+        self._gloss[TILES["glass"]], self._gloss[TILES["enamel"]] = 0.22, 0.05
         self._leafy[[TILES["leaves"], TILES["foliage"]]] = True
 
     def pair(self, poses: tuple[CameraPose, CameraPose], moving: Mesh) -> tuple[View, View]:
@@ -236,13 +238,15 @@ class Renderer:
         point = pose.position_m.astype(np.float32) + ray * hits.depth[:, None]
         albedo *= 2.0 * self._atlas.sample_one(TILES["macro"], _unfold(point, normal))
         albedo *= self._light.on(point, normal, np.take(self._leafy, tile), movers)
-        glass = np.flatnonzero(tile == TILES["glass"])
-        if len(glass):
-            unit = ray[glass] / reach[glass, None]
-            mirrored = (
-                unit - 2 * np.einsum("ij,ij->i", unit, normal[glass])[:, None] * normal[glass]
-            )
-            albedo[glass] += 0.25 * self._light.sky(mirrored) * self._reflection(mirrored)
+        gloss = np.take(self._gloss, tile)
+        shiny = np.flatnonzero(gloss)
+        if len(shiny):
+            unit = ray[shiny] / reach[shiny, None]
+            across = np.einsum("ij,ij->i", unit, normal[shiny])
+            mirrored = unit - 2 * across[:, None] * normal[shiny]
+            # Schlick's approximation: everything mirrors at a grazing angle
+            share = gloss[shiny] + (1 - gloss[shiny]) * 0.7 * (1 + across) ** 5
+            albedo[shiny] += share * self._light.sky(mirrored) * self._reflection(mirrored)
         return albedo
 
     def _reflection(self, direction: Floats32) -> Floats32:

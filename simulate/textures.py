@@ -151,6 +151,11 @@ def _paint(rng: np.random.Generator) -> Texture:
     return 0.50 * (1 + 0.02 * fractal(rng, 0.3) + 0.05 * fractal(rng, 1.8))
 
 
+def _enamel(rng: np.random.Generator) -> Texture:
+    """Car paint: hardly any texture of its own; it lives from what it mirrors."""
+    return 0.50 * (1 + 0.012 * fractal(rng, 0.3) + 0.03 * fractal(rng, 2.0))
+
+
 def _metal(rng: np.random.Generator) -> Texture:
     return 0.40 * (1 + 0.05 * fractal(rng, 0.6) + 0.10 * fractal(rng, 1.4, 0.3))
 
@@ -234,6 +239,7 @@ _MAKERS: dict[str, Callable[[np.random.Generator], Texture]] = {
     "planks": _planks,
     "concrete": _concrete,
     "paint": _paint,
+    "enamel": _enamel,
     "metal": _metal,
     "glass": _glass,
     "marking": _marking,

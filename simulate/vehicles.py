@@ -26,7 +26,7 @@ def car(rng: np.random.Generator, kind: str | None = None) -> Mesh:
     shade = float(rng.choice([0.10, 0.16, 0.35, 0.7, 1.1, 1.5]))
     lower = np.array(_CAR) * (length, height)
     cabin = np.array(_CABINS[kind]) * (length, height)
-    parts = [_prism(lower, width, "paint", shade), _prism(cabin, width * 0.86, "paint", shade)]
+    parts = [_prism(lower, width, "enamel", shade), _prism(cabin, width * 0.86, "enamel", shade)]
     half = width * 0.43 + 0.006
     glass = cabin.mean(axis=0) + (cabin - cabin.mean(axis=0)) * 0.82
     for side in (half, -half):

@@ -1,0 +1,112 @@
+"""How hard simulated pairs are for the matcher, beside real ones: error against true disparity.
+
+The same matcher, with the same settings, on KITTI 2015 (LiDAR truth) and on simulated pairs of
+every world (exact truth) in the same geometry. On both, pixels count whose true disparity is
+known and which both cameras see.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.config import RenderConfig, SimulateConfig, kitti_camera
+from simulate.drive import Studio, make_plan
+from simulate.render import View
+from simulate.scenario import load_scenario, scenario_names
+from simulate.world import make_world
+from stereo.config import StereoConfig
+from stereo.matching import make_matcher
+from stereo.rig import StereoRig
+
+KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_2015" / "training"
+PAIRS = 6
+SEEDS = (11, 12)
+
+
+def occluded(truth: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels of the left view that the right one does not see, from both true disparities."""
+    height, width = truth.shape
+    u = np.arange(width)[None] - np.rint(truth)
+    inside = (u >= 0) & (u < width)
+    partner = other[np.arange(height)[:, None], np.clip(u, 0, width - 1).astype(np.int64)]
+    return np.asarray(~inside | (np.abs(partner - truth) > np.maximum(1.0, 0.05 * truth)))
+
+
+def score(
+    found: NDArray[np.float32], truth: NDArray[np.float32], known: NDArray[np.bool_]
+) -> dict[str, float]:
+    """KITTI's measure (more than 3 px and 5 % off), the share matched and the spread."""
+    valid = known & np.isfinite(found)
+    error = np.abs(found - truth)[valid]
+    bad = (error > 3.0) & (error > 0.05 * truth[valid])
+    return {
+        "bad_percent": 100 * float(bad.mean()),
+        "over_1px_percent": 100 * float((error > 1).mean()),
+        "density_percent": 100 * float(valid.sum() / known.sum()),
+        "median_px": float(np.median(error)),
+    }
+
+
+def _mean(rows: list[dict[str, float]]) -> dict[str, float]:
+    return {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+
+
+def kitti() -> dict[str, float]:
+    """The measure over the KITTI 2015 pairs, or nothing where they are missing."""
+    matcher = make_matcher(StereoConfig(disparities=192))
+    rows = []
+    for truth_file in sorted(KITTI.glob("disp_noc_0/*.png")):
+        left, right = (
+            cv2.imread(str(KITTI / side / truth_file.name), cv2.IMREAD_GRAYSCALE)
+            for side in ("image_2", "image_3")
+        )
+        raw = cv2.imread(str(truth_file), cv2.IMREAD_UNCHANGED).astype(np.float32) / 256
+        rows.append(score(matcher.match(left, right).left, raw, raw > 0))
+    return _mean(rows) if rows else {}
+
+
+def truths(rig: StereoRig, views: tuple[View, View]) -> tuple[NDArray[np.float32], ...]:
+    """True disparity of both views."""
+    with np.errstate(divide="ignore"):
+        return tuple(
+            (rig.focal_px * rig.baseline_m / view.depth_m).astype(np.float32) for view in views
+        )
+
+
+def world(name: str) -> dict[str, float]:
+    """The measure over some pairs of a simulated world, in KITTI's geometry."""
+    matcher = make_matcher(StereoConfig(disparities=192))
+    rows = []
+    for seed in SEEDS:
+        config = SimulateConfig(camera=kitti_camera(), render=RenderConfig(workers=1))
+        scenario = load_scenario(name)
+        built = make_world(scenario, seed)
+        plan = make_plan(built, scenario, 1, seed, config)
+        studio = Studio(plan, built, 0)
+        for number in np.linspace(5, len(plan.frame_stamps_s) - 5, PAIRS // len(SEEDS) + 1):
+            views = studio.views(int(number))
+            left, right = studio.picture(int(number), views)
+            truth, other = truths(studio.renderer.rig, views)
+            known = (truth > 0) & ~occluded(truth, other)
+            # LiDAR truth ends at about 80 m and a third of the way up
+            known &= truth > studio.renderer.rig.focal_px * studio.renderer.rig.baseline_m / 80
+            known[: known.shape[0] // 3] = False
+            rows.append(score(matcher.match(left, right).left, truth, known))
+    return _mean(rows)
+
+
+def run() -> dict[str, dict[str, float]]:
+    """Collected by `python -m benchmarks`."""
+    results = {"simulate_realism_kitti_2015": kitti()}
+    for name in scenario_names():
+        results[f"simulate_realism_{name}"] = world(name)
+    return {name: values for name, values in results.items() if values}
+
+
+if __name__ == "__main__":
+    for name, values in run().items():
+        print(name, {key: round(value, 2) for key, value in values.items()})
