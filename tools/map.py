@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,11 +10,12 @@ import typer
 
 from drivelog.drive import Drive, open_drive
 from drivelog.errors import InputError
+from drivelog.samples import PoleScan
 from polemap.build import BuiltMap, build_map
 from polemap.io import check_writable, read_map, write_map
 from polemap.landmark_map import PoleMap
 from polemap.perception import scan_drive
-from tools.progress import progress
+from tools.progress import Advance, progress
 from tools.settings import ConfigOption, SeedOption, SetOption, Settings, load_settings
 
 
@@ -74,10 +76,24 @@ def _build(drives: list[Drive], settings: Settings, old: PoleMap | None, align: 
         return build_map(
             drives,
             settings.polemap,
-            lambda drive: scan_drive(drive, settings.polemap, advance, stereo=settings.stereo),
+            lambda drive: _scan(drive, settings, advance),
             update=old,
             align=align,
         )
+
+
+def _scan(drive: Drive, settings: Settings, advance: Advance) -> Sequence[PoleScan]:
+    """Poles in the images; poles that were detected elsewhere go to the building as they are.
+
+    The building joins sightings over whole passes with the reference, which is stronger than any
+    tracking on odometry: a tracker before it would only lose some.
+    """
+    if drive.has_frames:
+        return scan_drive(drive, settings.polemap, advance, stereo=settings.stereo)
+    if not drive.scans:
+        raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
+    advance(len(drive.scans))
+    return drive.scans
 
 
 def _say(built: BuiltMap, drives: list[Drive], out: Path) -> None:
