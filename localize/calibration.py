@@ -20,8 +20,8 @@ from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 
-_STRETCH_M = 8.0
-_STRETCH_LONGEST_S = 8.0
+_STRETCH_M = 20.0
+_STRETCH_LONGEST_S = 15.0
 _STRETCH_TURN_RAD = 0.8
 _YAW_SPREAD_RADPS = 0.02
 _GYRO_WHITE_RADPS = 0.005
@@ -169,7 +169,7 @@ class OdometryCalibration:
         if not trusted:
             self._stretch = None
             return
-        variance_m2 = 0.5 * float(covariance[0, 0] + covariance[1, 1]) + 0.05**2
+        variance_m2 = 0.5 * float(covariance[0, 0] + covariance[1, 1]) + 0.12**2
         variance_rad2 = float(covariance[2, 2]) + 0.004**2
         stretch = self._stretch
         if stretch is not None:

@@ -39,6 +39,7 @@ class LocalizeConfig(BaseModel):
     alpha2_yaw_rate_radps: float = Field(0.03, ge=0)
     alpha3_rotation_s: float = Field(0.01, ge=0)
     alpha4_rotation_rad: float = Field(0.003, ge=0)
+    alpha5_slip_m_per_sqrt_m: float = Field(0.015, ge=0)
     arc_s: float = Field(0.06, gt=0, le=1)
     odometry_gap_s: float = Field(0.5, gt=0)
     gap_speed_mps: float = Field(2.0, ge=0)
@@ -50,7 +51,7 @@ class LocalizeConfig(BaseModel):
     yaw_rate_offset_sd_radps: float = Field(0.005, ge=0)
     curvature_offset_sd_radpm: float = Field(0.0015, ge=0)
     yaw_rate_scale_sd: float = Field(0.03, ge=0)
-    speed_scale_sd: float = Field(0.03, ge=0)
+    speed_scale_sd: float = Field(0.02, ge=0)
 
     # likelihood of a scan
     p_detection: float = Field(0.7, gt=0, lt=1)
@@ -59,8 +60,8 @@ class LocalizeConfig(BaseModel):
     beta_p: float = Field(1.0, gt=0)
     width_sd_m: float = Field(0.15, gt=0)
     position_floor_m: float = Field(0.05, ge=0)
-    correlation_m: float = Field(4.0, gt=0)
-    correlation_s: float = Field(2.0, gt=0)
+    correlation_m: float = Field(3.0, gt=0)
+    correlation_s: float = Field(1.5, gt=0)
     min_effective_share: float = Field(0.03, ge=0, le=0.5)
     view_range_m: float = Field(25.0, gt=0)
     view_half_angle_rad: float = Field(pi / 3, gt=0, le=pi)
@@ -70,6 +71,8 @@ class LocalizeConfig(BaseModel):
     gnss_correlation_s: float = Field(60.0, gt=0)
     gnss_outlier_share: float = Field(0.1, gt=0, lt=1)
     gnss_window_s: float = Field(30.0, gt=0)
+    start_patience_s: float = Field(5.0, ge=0)
+    start_particles_factor: int = Field(4, ge=1, le=100)
     gnss_max_age_s: float = Field(3.0, gt=0)
 
     # exploration and recovery
@@ -83,6 +86,7 @@ class LocalizeConfig(BaseModel):
     constellation_reach_m: float = Field(40.0, gt=0)
     lost_sd_m: float = Field(15.0, gt=0)
     lost_match_share: float = Field(0.34, ge=0, le=1)
+    lost_gnss_sd: float = Field(5.0, gt=0)
     lost_after_s: float = Field(3.0, gt=0)
 
     # estimate and health

@@ -47,13 +47,15 @@ class HealthRecord:
 
 
 class LostDetector:
-    """Lost when the cloud is wider than `lost_sd_m`, or when for a while hardly a pole fits."""
+    """Lost when the cloud is wider than `lost_sd_m`, when for a while hardly a pole fits, or when
+    for a while every fix lies far away."""
 
     def __init__(self, config: LocalizeConfig) -> None:
         self._config = config
         self._share = 1.0
         self._geometric_sd_m = 0.0
         self._bad_s = 0.0
+        self._astray_s = 0.0
         self._last_s: float | None = None
 
     @property
@@ -77,16 +79,36 @@ class LostDetector:
 
         Source: Spangenberg (2016), section V-D, for the spread; the matches are ours.
         """
-        return self.scattered or self._bad_s >= self._config.lost_after_s
+        limit_s = self._config.lost_after_s
+        return self.scattered or self._bad_s >= limit_s or self.astray
+
+    @property
+    def astray(self) -> bool:
+        """Whether GNSS has long said that the car is somewhere else."""
+        return self._astray_s >= self._config.lost_after_s
 
     def update(
-        self, stamp_s: float, matched: int, seen: int, expected: float, geometric_sd_m: float
+        self,
+        stamp_s: float,
+        matched: int,
+        seen: int,
+        expected: float,
+        geometric_sd_m: float,
+        gnss_distance_sd: float | None,
     ) -> None:
-        """Take in what the estimate makes of a scan."""
+        """Take in what the estimate makes of a scan.
+
+        Args:
+            expected: detections of map poles to be hoped for.
+            gnss_distance_sd: from the newest fix, in standard deviations; None without one.
+        """
         config = self._config
         elapsed = 0.0 if self._last_s is None else stamp_s - self._last_s
         self._last_s = stamp_s
         self._geometric_sd_m = geometric_sd_m
+        if gnss_distance_sd is not None:
+            far = gnss_distance_sd > config.lost_gnss_sd
+            self._astray_s = self._astray_s + elapsed if far else 0.0
         possible = max(min(seen, expected), matched)
         if possible < _LEAST_POSSIBLE:
             return
@@ -97,4 +119,4 @@ class LostDetector:
     def reset(self) -> None:
         """After an initialization: the benefit of the doubt."""
         self._share = 1.0
-        self._bad_s = self._geometric_sd_m = 0.0
+        self._bad_s = self._astray_s = self._geometric_sd_m = 0.0

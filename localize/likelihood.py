@@ -18,7 +18,6 @@ from polemap.association import (
     pole_log_likelihood,
 )
 from polemap.landmark_map import PoleMap
-from vehicle.pose import shift_forward
 
 Floats = NDArray[np.float64]
 
@@ -147,6 +146,20 @@ def _largest(good: Callable[[float], bool], upper: float) -> float:
     return low
 
 
+def antenna_at(rear_poses: Floats, antenna_m: Floats, moved: Floats) -> Floats:
+    """Positions `(n, 2)` of the antenna, for rear-axle poses `(n, 3)` that then move by `moved`.
+
+    Args:
+        antenna_m: `(2,)` in the vehicle frame.
+        moved: `(3,)` in the axes of the vehicle before it moves.
+    """
+    c, s = np.cos(rear_poses[:, 2]), np.sin(rear_poses[:, 2])
+    c_moved, s_moved = np.cos(moved[2]), np.sin(moved[2])
+    x = moved[0] + c_moved * antenna_m[0] - s_moved * antenna_m[1]
+    y = moved[1] + s_moved * antenna_m[0] + c_moved * antenna_m[1]
+    return np.stack([rear_poses[:, 0] + c * x - s * y, rear_poses[:, 1] + s * x + c * y], axis=1)
+
+
 def gnss_log_likelihood(
     rear_poses: Floats,
     fix: GnssFix,
@@ -161,16 +174,9 @@ def gnss_log_likelihood(
         rear_poses: `(n, 3)` at the filter's time.
         moved: `(3,)` motion of the vehicle from the filter's time to the fix, in vehicle axes.
     """
-    yaw = rear_poses[:, 2]
-    c, s = np.cos(yaw), np.sin(yaw)
-    at_fix = np.stack([rear_poses[:, 0], rear_poses[:, 1], yaw + moved[2]], axis=1)
-    at_fix[:, 0] += c * moved[0] - s * moved[1]
-    at_fix[:, 1] += s * moved[0] + c * moved[1]
-    antenna = shift_forward(at_fix, float(antenna_m[0]))
-    antenna[:, 0] -= antenna_m[1] * np.sin(at_fix[:, 2])
-    antenna[:, 1] += antenna_m[1] * np.cos(at_fix[:, 2])
+    antenna = antenna_at(rear_poses, antenna_m, moved)
     variance = (config.gnss_sd_m * max(fix.hdop, 0.5)) ** 2
-    d2 = ((antenna[:, :2] - (fix.east_m, fix.north_m)) ** 2).sum(axis=1) / variance
+    d2 = ((antenna - (fix.east_m, fix.north_m)) ** 2).sum(axis=1) / variance
     wide = 400.0  # twenty times the standard deviation
     return np.asarray(
         np.logaddexp(

@@ -40,13 +40,15 @@ def sample_motion(
     north = poses[:, 1] - wheelbase_m * np.sin(yaw)
     for arc in arcs:
         speed_sd, yaw_rate_sd, turn_sd = noise_of_arc(arc, config)
-        noise = rng.standard_normal((3, count))
+        noise = rng.standard_normal((4, count))
         distance = (arc.speed_mps + speed_sd * noise[0]) * arc.dt_s
         half = (0.5 * arc.dt_s) * (arc.yaw_rate_radps + yaw_rate_sd * noise[1])
         chord = distance * sinc(half)
         heading = yaw + half
-        east += chord * np.cos(heading)
-        north += chord * np.sin(heading)
+        c, s = np.cos(heading), np.sin(heading)
+        aside = config.alpha5_slip_m_per_sqrt_m * np.sqrt(abs(arc.speed_mps) * arc.dt_s) * noise[3]
+        east += chord * c - aside * s
+        north += chord * s + aside * c
         yaw = heading + half + turn_sd * noise[2]
     return np.stack(
         [east + wheelbase_m * np.cos(yaw), north + wheelbase_m * np.sin(yaw), yaw], axis=1

@@ -15,6 +15,7 @@ from localize.config import LocalizeConfig
 from localize.exploration import LikelihoodAverages, normalized_quality
 from localize.health import HealthRecord, LostDetector
 from localize.likelihood import (
+    antenna_at,
     gnss_log_likelihood,
     independent_share,
     match_at,
@@ -41,6 +42,7 @@ Event = Literal["initialized", "reinitialized", "explored"]
 
 _MOST_FIXES = 200
 _RESTART_SHARE = 0.75
+_FIRST_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,7 @@ class ParticleFilter:
         self._lost = LostDetector(config)
         self._fixes: list[tuple[GnssFix, Floats]] = []
         self._last_fix_s: float | None = None
+        self._newest: tuple[GnssFix, Floats, Floats] | None = None
         self._poses = np.empty((0, 3))
         self._log_weights = np.empty(0)
         self._stamp_s = -np.inf
@@ -167,11 +170,12 @@ class ParticleFilter:
                 travelled - self._travelled_m, stamp - self._stamp_s, self._config
             )
         else:
-            drawn = self._relocation.draw(self._config.particles, stamp, reckoned, self._rng)
+            count = self._config.start_particles_factor * self._config.particles
+            drawn = self._relocation.start(count, stamp, reckoned, self._rng)
             if len(drawn) == 0:
                 return None
             self._place(drawn, np.zeros(len(drawn)))
-            event, share = "initialized", 1.0
+            event, share = "initialized", _FIRST_SHARE
         self._stamp_s, self._travelled_m = stamp, travelled
         self._weigh_fixes(reckoned)
         self._weigh_scan(scan, share)
@@ -212,6 +216,7 @@ class ParticleFilter:
             # fixes share one slowly wandering error: their information grows with time, not number
             share = min(1.0, (fix.stamp_s - last) / (2.0 * self._config.gnss_correlation_s))
             moved = relative_motion(reckoned, self._history.dead_reckoning(fix.stamp_s))
+            self._newest = (fix, antenna, moved)
             self._log_weights = self._log_weights + share * gnss_log_likelihood(
                 rear, fix, antenna, moved, self._config
             )
@@ -233,8 +238,8 @@ class ParticleFilter:
         """Start anew when lost, explore when the likelihood has fallen."""
         self._explored_share = 0.0
         total = len(self._poses)
-        if self._lost.lost:
-            if self._lost.scattered:
+        if self._lost.lost and self._relocation.rested(scan.stamp_s):
+            if self._lost.scattered or self._lost.astray:
                 drawn = self._relocation.draw(total, scan.stamp_s, reckoned, self._rng)
             else:
                 # poles do not fit here, but the map may have changed: the old cloud keeps a part
@@ -283,7 +288,12 @@ class ParticleFilter:
             pose, spread = modes[0].mean, modes[0].covariance
         fit = match_at(pose, scan, self._map, config)
         self._lost.update(
-            scan.stamp_s, fit.matched, len(scan), fit.expected, float(np.sqrt(major * minor))
+            scan.stamp_s,
+            fit.matched,
+            len(scan),
+            fit.expected,
+            float(np.sqrt(major * minor)),
+            self._gnss_distance_sd(pose, spread),
         )
         settled = event not in ("initialized", "reinitialized") and len(modes) == 1
         healthy = settled and major <= config.healthy_sd_m and self._lost.fits
@@ -309,6 +319,19 @@ class ParticleFilter:
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event
         )
 
+    def _gnss_distance_sd(self, pose: Floats, covariance: Floats) -> float | None:
+        """Distance of the pose from the newest fix, in standard deviations; None if it is old."""
+        if self._newest is None:
+            return None
+        fix, antenna, moved = self._newest
+        self._newest = None
+        at_fix = antenna_at(pose[np.newaxis], antenna, moved)[0]
+        variance = (self._config.gnss_sd_m * max(fix.hdop, 0.5)) ** 2
+        # a scattered cloud must not excuse any distance
+        own = min(0.5 * float(covariance[0, 0] + covariance[1, 1]), 4.0 * variance)
+        distance = np.hypot(at_fix[0] - fix.east_m, at_fix[1] - fix.north_m)
+        return float(distance / np.sqrt(variance + own))
+
     def _held_by_poles(self, estimate: PfEstimate) -> bool:
         health = estimate.health
         return estimate.healthy and health.matched >= 2 and health.position_sd_major_m < 0.5
@@ -316,7 +339,7 @@ class ParticleFilter:
     def _resample(self, n_eff: float) -> None:
         config = self._config
         total = len(self._poses)
-        if n_eff >= config.resample_below * total and total >= config.particles:
+        if n_eff >= config.resample_below * total and not config.kld_adaptive:
             return
         weights, _ = normalized(self._log_weights)
         count = particles_needed(self._poses, weights, config)

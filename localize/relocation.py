@@ -27,6 +27,7 @@ class Relocation:
         self._memory = PoleMemory()
         self._index = ConstellationIndex(pole_map)
         self._searched_s = -np.inf
+        self._first_fix_s: float | None = None
 
     @property
     def newest_fix_s(self) -> float:
@@ -41,6 +42,28 @@ class Relocation:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
         self._memory.push(scan, reckoned, travelled_m)
 
+    def start(
+        self, count: int, stamp_s: float, reckoned: Floats, rng: np.random.Generator
+    ) -> Floats:
+        """Poses `(count, 3)` to begin with; none while waiting makes them better.
+
+        Poses of any heading are a poor start. So the first metres are awaited, after which GNSS has
+        a heading, unless the poles already fit a constellation or the patience ends.
+        """
+        if not self.rested(stamp_s):
+            return np.empty((0, 3))
+        self._searched_s = stamp_s
+        gnss = self._gnss_pose(stamp_s, reckoned)
+        candidates = self._search(reckoned, gnss, rng)
+        if gnss is not None and self._first_fix_s is None:
+            self._first_fix_s = stamp_s
+        sure = len(candidates) > 0 and candidates.matched[0] > self._config.constellation_min_poles
+        if not sure and (gnss is None or not gnss.heading_known):
+            waited = 0.0 if self._first_fix_s is None else stamp_s - self._first_fix_s
+            if waited < self._config.start_patience_s:
+                return np.empty((0, 3))
+        return draw_poses(count, gnss, candidates, rng)
+
     def rested(self, stamp_s: float) -> bool:
         """Whether the last search is long enough ago for another."""
         return stamp_s - self._searched_s >= self._config.constellation_interval_s
@@ -50,10 +73,13 @@ class Relocation:
     ) -> Floats:
         """Rear-axle poses `(count, 3)` at `stamp_s`; none where nothing is known."""
         self._searched_s = stamp_s
-        gnss = None
-        if stamp_s - self._alignment.newest_s <= self._config.gnss_max_age_s:
-            gnss = self._alignment.pose(reckoned)
+        gnss = self._gnss_pose(stamp_s, reckoned)
         return draw_poses(count, gnss, self._search(reckoned, gnss, rng), rng)
+
+    def _gnss_pose(self, stamp_s: float, reckoned: Floats) -> GnssPose | None:
+        if stamp_s - self._alignment.newest_s > self._config.gnss_max_age_s:
+            return None
+        return self._alignment.pose(reckoned)
 
     def _search(
         self, reckoned: Floats, gnss: GnssPose | None, rng: np.random.Generator
