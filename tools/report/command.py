@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import cpu_count
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +15,10 @@ from tools.report.evaluate import RouteResult, evaluate_route, route_systems
 from tools.report.exclusions import parse_interval
 from tools.report.routes import open_routes
 from tools.report.runs import read_run_set
-from tools.report.write import write_report
+from tools.report.sweep_output import sweep_output
+from tools.report.sweep_spec import parse_sweep
+from tools.report.sweeps import run_sweeps
+from tools.report.write import NO_SWEEPS, write_report
 from tools.settings import SeedOption
 
 
@@ -32,6 +36,20 @@ def command(
         list[str] | None,
         typer.Option("--add", help="Another system's trajectory: NAME=FILE.tum, same clock."),
     ] = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sweep",
+            help="Replay under other settings: frame_rate=full,half, particles=100,1000 or "
+            "SETTING=VALUE,VALUE. May be given several times.",
+        ),
+    ] = None,
+    sweep_runs: Annotated[
+        int, typer.Option("--sweep-runs", min=1, max=10_000, help="Seeds a value of a sweep.")
+    ] = 10,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Processes of a sweep; default: cores.")
+    ] = None,
     latex: Annotated[bool, typer.Option("--latex", help="Write tables.tex too.")] = False,
     seed: SeedOption = 0,
 ) -> None:
@@ -40,12 +58,15 @@ def command(
     Examples:
         polemap report runs/lap_2 --out report
         polemap report runs/campus runs/avenue runs/suburb --out report --latex
+        polemap report runs/campus --sweep particles=50,200,1000 --sweep-runs 20 --out report
         polemap report runs/campus --add mine=slam.tum --exclude 410:450 --out report
 
     Runs over the same course are one route; a route driven at least twice in one direction gets a
-    repeatability. docs/repeatability.md defines every figure.
+    repeatability. docs/repeatability.md defines every figure. A sweep keeps its replays in
+    OUT/cache: a killed one goes on where it was.
     """
     intervals = [parse_interval(text) for text in exclude or []]
+    swept = [parse_sweep(text) for text in sweep or []]
     routes = open_routes([read_run_set(path) for path in runs], parse_added(add or []))
     unknown = {i.route for i in intervals if i.route} - {route.name for route in routes}
     if unknown:
@@ -54,7 +75,12 @@ def command(
     total = sum(len(system.tracks) for route in routes for system in route_systems(route))
     with progress(total, "measuring") as advance:
         results = [evaluate_route(route, intervals, advance) for route in routes]
-    write_report(results, out, latex=latex, seed=seed)
+    output = NO_SWEEPS
+    if swept:
+        cores = workers or cpu_count() or 1
+        found = run_sweeps(results, swept, out / "cache", sweep_runs, seed, cores, progress)
+        output = sweep_output(*found)
+    write_report(results, out, output, latex=latex, seed=seed)
     typer.echo(screen_table(results))
     typer.echo(f"wrote {out / 'report.html'} and {out / 'report.json'}")
 

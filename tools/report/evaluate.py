@@ -159,6 +159,18 @@ def evaluate_route(
     )
 
 
+def measure(result: RouteResult, system: System) -> SystemResult:
+    """Another system on an evaluated route: same passes, stations and exclusions."""
+    found_in = [recording.guide for recording in result.route.recordings]
+    guides = [guides_of(stretch, found_in) for stretch in result.stretches]
+    masks = [excluded_mask(s, i, result.exclusions) for i, s in enumerate(result.stretches)]
+    truth = result.of_kind("truth")
+    true_parts = truth.example if truth else None
+    return _evaluate(
+        system, result.route, result.stretches, masks, guides, true_parts, result.against
+    )
+
+
 def route_systems(route: Route, max_runs: int | None = None) -> list[System]:
     """Particle filter and output filter of every setting, reference, truth, and what was added."""
     systems = []

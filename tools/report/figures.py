@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from tools.report.evaluate import RouteResult, SystemResult
@@ -192,6 +193,7 @@ def consistency(result: RouteResult, key: str) -> Picture | None:
             good = np.isfinite(values) & (values > 0)
             axes.plot(stamp[good] - stamp[0], values[good], ".", ms=2.5, color=COLOURS["pf"], mew=0)
             axes.set_yscale("log")
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             for level, style in ((3.0, "-"), (11.34, "--")):
                 axes.axhline(level, color=INK, lw=0.8, ls=style)
             share = float(np.mean(values[good] > 11.34)) if good.any() else 0.0
@@ -260,7 +262,7 @@ def timing_picture(result: RouteResult, key: str) -> Picture | None:
                 axes.hist(
                     good, bins.tolist(), histtype="step", color=LAPS[number % len(LAPS)], label=name
                 )
-            axes.set_xscale("log")
+            plain_log(axes)
             tidy(axes, "time of an update [ms]", "updates")
             axes.legend(fontsize=8)
             return finish(figure, key, "Processing time", "All runs.")
@@ -277,7 +279,7 @@ def timing_picture(result: RouteResult, key: str) -> Picture | None:
             for value, mark in zip(marks, ("o", "|", "|"), strict=True):
                 axes.plot(value, place, mark, color=COLOURS["kf"], ms=7 if mark == "|" else 5)
         axes.set_yticks(range(len(stages)), [name for name, _ in reversed(stages)])
-        axes.set_xscale("log")
+        plain_log(axes)
         tidy(axes, "time [ms]", "")
         return finish(figure, key, "Processing time", "Median (dot), p95 and p99, first run.")
 
@@ -306,6 +308,13 @@ def near_points(points_m: Floats, result: RouteResult, margin_m: float = 60.0) -
     line = np.concatenate([one.guide.poses[:, :2] for one in result.route.recordings])
     low, high = line.min(axis=0) - margin_m, line.max(axis=0) + margin_m
     return points_m[np.all((points_m >= low) & (points_m <= high), axis=1)]
+
+
+def plain_log(axes: Axes) -> None:
+    """A logarithmic x axis with plain numbers: text here is never read as mathematics."""
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def shade_runs(axes: Axes, station: Floats, mask: NDArray[np.bool_]) -> None:

@@ -1,6 +1,6 @@
 """Which parts of a drive are passes over the same road: from laps.csv, or found in its track.
 
-Walking along the track, a metre at a time, a place is new or it was passed before in the same
+Walking along the track, two metres at a time, a place is new or it was passed before in the same
 direction. The new places are stretches of road; every coherent run over a stretch is a pass. A
 closed course driven six times is one stretch with six passes; a tour through a town is many
 stretches, those with at least two passes count.
@@ -22,14 +22,14 @@ from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 
-STEP_M = 1.0
+STEP_M = 2.0
 SAME_ROAD_M = 8.0
 SAME_DIRECTION_RAD = np.radians(40.0)
 RETURN_M = 40.0
 MIN_LENGTH_M = 30.0
 BRIDGED_M = 60.0
 COMPLETE_SHARE = 0.9
-_HEADING_BASE = 3
+_HEADING_BASE = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class _Track:
-    """The tracks of all sources behind one another, one point a metre."""
+    """The tracks of all sources behind one another, one point every `STEP_M`."""
 
     source: NDArray[np.int64]
     stamp_s: Floats

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 STATION_STEP_M = 0.5
 SMOOTHING_M = 2.0
 REACH_M = 12.0
-_TRACK_STEP_M = 1.0
+_TRACK_STEP_M = 2.0
 _NEWTON_STEPS = 6
 _START_REACH_M = 40.0
 
@@ -94,7 +94,7 @@ class MeanPath:
         return np.where(lost, np.nan, station), np.where(lost, np.nan, deviation)
 
     def track(self, trajectory: Trajectory, start_m: float = 0.0) -> tuple[Floats, Floats]:
-        """Follow one pass along the path: stamps and stations `(m,)` about every metre.
+        """Follow one pass along the path: stamps and stations `(m,)` about every two metres.
 
         The pass starts near station `start_m`, and the station may only move on little by
         little, so that a path that crosses or touches itself stays unambiguous. These are the
@@ -118,7 +118,7 @@ class MeanPath:
         return coarse.stamp_s, station
 
 
-def mean_path(passes: Sequence[Trajectory], rounds: int = 3) -> MeanPath:
+def mean_path(passes: Sequence[Trajectory], rounds: int = 2) -> MeanPath:
     """The pointwise median of several passes in the same direction, smoothed.
 
     Starts from the longest pass that is not an outlier (1.1 median lengths); in every round the
@@ -129,11 +129,18 @@ def mean_path(passes: Sequence[Trajectory], rounds: int = 3) -> MeanPath:
     lengths = np.array([one.thinned(_TRACK_STEP_M).travelled_m()[-1] for one in passes])
     seed = int(np.argmax(np.where(lengths <= 1.1 * np.median(lengths), lengths, 0.0)))
     path = MeanPath.through(smooth_line(passes[seed].thinned(STATION_STEP_M).poses[:, :2]))
-    for _ in range(rounds if len(passes) > 1 else 0):
+    if len(passes) < 2:
+        return path
+    thin = [one.thinned(STATION_STEP_M) for one in passes]
+    guesses = [_rough(path, one) for one in thin]
+    for _ in range(rounds):
         deviations = np.full((len(passes), len(path.station_m)), np.nan)
-        for row, one in enumerate(passes):
-            station, deviation = _along(path, one)
+        for row, (one, guess) in enumerate(zip(thin, guesses, strict=True)):
+            if guess is None:
+                continue
+            station, deviation = path.project(one.poses[:, :2], guess)
             order = np.argsort(station, kind="stable")
+            order = order[np.isfinite(station[order])]
             if len(order) > 1:
                 deviations[row] = np.interp(
                     path.station_m, station[order], deviation[order], left=np.nan, right=np.nan
@@ -147,19 +154,17 @@ def mean_path(passes: Sequence[Trajectory], rounds: int = 3) -> MeanPath:
         _, tangent, _ = path.at(path.station_m)
         normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
         normal /= np.hypot(normal[:, 0], normal[:, 1])[:, None]
-        path = MeanPath.through(path.points_m + shift[:, None] * normal)
+        moved = MeanPath.through(path.points_m + shift[:, None] * normal)
+        stretch = moved.length_m / path.length_m
+        guesses = [None if guess is None else guess * stretch for guess in guesses]
+        path = moved
     return path
 
 
-def _along(path: MeanPath, one: Trajectory) -> tuple[Floats, Floats]:
+def _rough(path: MeanPath, one: Trajectory) -> Floats | None:
+    """First guesses of the stations of a pass."""
     stamps, stations = path.track(one)
-    thin = one.thinned(STATION_STEP_M)
-    if len(stamps) < 2:
-        return np.empty(0), np.empty(0)
-    guess = np.interp(thin.stamp_s, stamps, stations)
-    station, deviation = path.project(thin.poses[:, :2], guess)
-    good = np.isfinite(station)
-    return station[good], deviation[good]
+    return np.interp(one.stamp_s, stamps, stations) if len(stamps) > 1 else None
 
 
 def smooth_line(points_m: Floats, smoothing_m: float = SMOOTHING_M) -> Floats:
@@ -181,4 +186,4 @@ def _polyline_length(points_m: Floats) -> Floats:
 
 
 def _squared(offset: Floats) -> Floats:
-    return np.asarray(np.sum(offset * offset, axis=1))
+    return np.asarray(offset[:, 0] ** 2 + offset[:, 1] ** 2)

@@ -76,8 +76,15 @@ class RunSet:
         return None if lap is None else str(lap)
 
     def _path(self, key: str) -> Path | None:
+        """A path as the run wrote it, or seen from a folder above the run where it was relative."""
         value = self.config.get(key)
-        return Path(str(value)) if value else None
+        if not value:
+            return None
+        path = Path(str(value))
+        if path.is_absolute() or path.exists():
+            return path
+        above = (parent / path for parent in self.path.resolve().parents)
+        return next((place for place in above if place.exists()), path)
 
 
 def read_run_set(path: Path) -> RunSet:

@@ -1,0 +1,167 @@
+"""Detections of a drive, found once and kept: what every value of a sweep starts from.
+
+Kept are the poles of every frame before tracking, so that a lower frame rate is tracked anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.atomic import atomic_file
+from drivelog.drive import Drive
+from drivelog.errors import InputError
+from drivelog.samples import PoleScan, VisibleRegion
+from polemap.classifier import PoleClassifier
+from polemap.config import PolemapConfig
+from polemap.detection import detect
+from polemap.models.io import read_classifier
+from polemap.perception import scan_drive
+from stereo.config import StereoConfig
+from stereo.matching import make_matcher
+
+Floats = NDArray[np.float64]
+
+FORMAT = 1
+
+
+def fingerprint(*parts: Any) -> str:
+    """A short name for a combination of settings and inputs, the same on every machine."""
+    text = json.dumps(parts, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def drive_fingerprint(drive: Drive) -> str:
+    """What identifies the input of a replay: its streams, not its place."""
+    digest = hashlib.sha256()
+    streams = [drive.frame_stamps_s]
+    if drive.odometry is not None:
+        streams += [drive.odometry.stamp_s, drive.odometry.speed_mps, drive.odometry.yaw_rate_radps]
+    if drive.gnss is not None:
+        streams += [drive.gnss.stamp_s, drive.gnss.east_m, drive.gnss.north_m]
+    streams += [scan.points_vehicle_m for scan in drive.scans]
+    for stream in streams:
+        digest.update(np.ascontiguousarray(stream).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def raw_scans(
+    drive: Drive, polemap: PolemapConfig, stereo: StereoConfig, rows: Sequence[int]
+) -> list[PoleScan]:
+    """Poles of the frames `rows` of a drive, not tracked; a pole's existence is its probability."""
+    if drive.rig is None:
+        raise InputError(f"drive {drive.name}: it has images but no camera")
+    matcher = make_matcher(stereo, drive.rig)
+    classifier: PoleClassifier = read_classifier(polemap.detection.model)
+    scans = []
+    for row in rows:
+        frame = drive.read_frame(row)
+        disparity = matcher.match(frame.left, frame.right)
+        view = detect(frame.left, disparity, drive.rig, classifier, polemap.detection)
+        found = view.detections
+        scans.append(
+            PoleScan(
+                frame.stamp_s,
+                frame.arrival_s,
+                found.points_vehicle_m,
+                found.covariance_m2,
+                found.width_m,
+                np.full(len(found.width_m), -1, dtype=np.int64),
+                found.probability,
+                view.region,
+                found.height_m,
+            )
+        )
+    return scans
+
+
+def tracked_scans(
+    drive: Drive, raw: Sequence[PoleScan], every: int, polemap: PolemapConfig
+) -> list[PoleScan]:
+    """Every n-th raw scan, tracked as a drive of that frame rate would be."""
+    thinned = replace(drive, images=None, scans=tuple(raw[::every]))
+    return scan_drive(thinned, polemap)
+
+
+def write_scans(path: Path, scans: Sequence[PoleScan]) -> None:
+    """Keep scans as plain arrays."""
+    counts = np.array([len(scan) for scan in scans], dtype=np.int64)
+    views = [scan.view for scan in scans]
+    bins = np.array([len(v.free_range_m) if v else -1 for v in views], dtype=np.int64)
+
+    def joined(values: list[Floats], *shape: int) -> Floats:
+        return np.concatenate([*values, np.empty((0, *shape))])
+
+    with atomic_file(path) as part, part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            format=np.array(FORMAT),
+            stamps=np.array([(scan.stamp_s, scan.arrival_s) for scan in scans]).reshape(-1, 2),
+            counts=counts,
+            points=joined([scan.points_vehicle_m for scan in scans], 2),
+            covariance=joined([scan.covariance_m2 for scan in scans], 2, 2),
+            width=joined([scan.width_m for scan in scans]),
+            existence=joined([scan.existence for scan in scans]),
+            height=joined([_heights(scan) for scan in scans]),
+            bins=bins,
+            sector=np.array([_sector(v) for v in views]).reshape(-1, 5),
+            free=joined([v.free_range_m for v in views if v is not None]),
+        )
+
+
+def read_scans(path: Path) -> list[PoleScan] | None:
+    """What `write_scans` kept; None if it is not there or cannot be read."""
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            data = {name: kept[name] for name in kept.files}
+    except (OSError, ValueError, EOFError):
+        return None
+    if int(data.get("format", np.array(0))) != FORMAT:
+        return None
+    ends = np.concatenate([[0], np.cumsum(data["counts"])])
+    free_ends = np.concatenate([[0], np.cumsum(np.maximum(data["bins"], 0))])
+    scans = []
+    for i, (stamp_s, arrival_s) in enumerate(data["stamps"].tolist()):
+        part = slice(int(ends[i]), int(ends[i + 1]))
+        view = None
+        if data["bins"][i] >= 0:
+            sector = data["sector"][i]
+            view = VisibleRegion(
+                sector[:2],
+                float(sector[2]),
+                float(sector[3]),
+                float(sector[4]),
+                data["free"][int(free_ends[i]) : int(free_ends[i + 1])],
+            )
+        scans.append(
+            PoleScan(
+                stamp_s,
+                arrival_s,
+                data["points"][part],
+                data["covariance"][part],
+                data["width"][part],
+                np.full(part.stop - part.start, -1, dtype=np.int64),
+                data["existence"][part],
+                view,
+                data["height"][part],
+            )
+        )
+    return scans
+
+
+def _heights(scan: PoleScan) -> Floats:
+    return np.full(len(scan), np.nan) if scan.height_m is None else scan.height_m
+
+
+def _sector(view: VisibleRegion | None) -> list[float]:
+    if view is None:
+        return [0.0] * 5
+    x, y = view.origin_vehicle_m.tolist()
+    return [x, y, view.bearing_min_rad, view.bearing_max_rad, view.range_min_m]
