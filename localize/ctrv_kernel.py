@@ -1,8 +1,9 @@
-"""The CTRV EKF's two hot steps in plain floats.
+"""The output EKF's two hot steps in plain floats.
 
-A 5x5 filter is too small for numpy: its calls cost more than its sums. The covariance is the
-tuple of the 15 entries of its upper triangle, row by row; the tests hold these functions to
-`vehicle.motion` and `vehicle.kalman` to 1e-12.
+The state is CTRV (x, y, yaw, v, w) and what is wrong with the odometry: the relative error of its
+speed and the offset of its yaw rate, both wandering slowly. So small a filter is too small for
+numpy: its calls cost more than its sums. The covariance is the tuple of the 28 entries of its upper
+triangle, row by row; the tests hold these functions to `vehicle.motion` and `vehicle.kalman`.
 """
 
 from __future__ import annotations
@@ -14,17 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Mean = tuple[float, float, float, float, float]
+Mean = tuple[float, float, float, float, float, float, float]
 Upper = tuple[float, ...]
 
-_ROWS, _COLUMNS = np.triu_indices(5)
+SIZE = 7
+_ROWS, _COLUMNS = np.triu_indices(SIZE)
 # where entry (i, j) stands in the upper triangle
 INDEX = tuple(
     tuple(
-        next(k for k in range(15) if (_ROWS[k], _COLUMNS[k]) == (min(i, j), max(i, j)))
-        for j in range(5)
+        next(k for k in range(len(_ROWS)) if (_ROWS[k], _COLUMNS[k]) == (min(i, j), max(i, j)))
+        for j in range(SIZE)
     )
-    for i in range(5)
+    for i in range(SIZE)
 )
 _PAIRS = tuple((int(i), int(j)) for i, j in zip(_ROWS, _COLUMNS, strict=True))
 
@@ -34,7 +36,11 @@ class Noise(NamedTuple):
 
     acceleration_m2ps3: float
     yaw_acceleration_rad2ps3: float
-    slip_s: float  # the sideways density is this times the squared speed
+    slip_s5pm2: float  # sideways density: this times (speed x lateral acceleration) squared
+    along_s: float = 0.0  # density along the path: this times the squared speed
+    yaw_rad2ps: float = 0.0  # density of the yaw, while the car moves
+    scale_1ps: float = 0.0  # of the walk of the speed's relative error
+    offset_rad2ps3: float = 0.0  # of the walk of the yaw rate's offset
 
 
 def wrap(angle_rad: float) -> float:
@@ -45,31 +51,31 @@ def wrap(angle_rad: float) -> float:
 
 
 def pack(covariance: Floats) -> Upper:
-    """Upper triangle of `(5, 5)`."""
+    """Upper triangle of `(7, 7)`."""
     return tuple(covariance[_ROWS, _COLUMNS].tolist())
 
 
 def unpack(upper: Upper) -> Floats:
-    """`(5, 5)` from its upper triangle."""
-    full = np.empty((5, 5))
+    """`(7, 7)` from its upper triangle."""
+    full = np.empty((SIZE, SIZE))
     full[_ROWS, _COLUMNS] = upper
     full[_COLUMNS, _ROWS] = upper
     return full
 
 
-def step(mean: Mean, dt_s: float) -> Mean:
-    """`vehicle.motion.ctrv_step` of one state."""
-    x, y, yaw, v, w = mean
+def step(pose: tuple[float, float, float], v: float, w: float, dt_s: float) -> tuple[float, ...]:
+    """A pose moved along the arc of constant speed and yaw rate."""
+    x, y, yaw = pose
     half = 0.5 * w * dt_s
     ratio = sin(half) / half if abs(half) > 1e-9 else 1.0
     chord = v * dt_s * ratio
     heading = yaw + half
-    return (x + chord * cos(heading), y + chord * sin(heading), wrap(heading + half), v, w)
+    return (x + chord * cos(heading), y + chord * sin(heading), wrap(heading + half))
 
 
 def predict(mean: Mean, upper: Upper, dt_s: float, noise: Noise) -> tuple[Mean, Upper]:
     """State and covariance after `dt_s` (not negative): `f(x)`, `F P F' + Q`."""
-    x, y, yaw, v, w = mean
+    x, y, yaw, v, w, scale, offset = mean
     half = 0.5 * w * dt_s
     h2 = half * half
     if h2 < 2.5e-3:
@@ -87,7 +93,10 @@ def predict(mean: Mean, upper: Upper, dt_s: float, noise: Noise) -> tuple[Mean, 
     d, e = chord * c, dt_s * ratio * s
     g = 0.5 * dt_s * (length * slope * c - chord * s)
     f = 0.5 * dt_s * (length * slope * s + chord * c)
-    p00, p01, p02, p03, p04, p11, p12, p13, p14, p22, p23, p24, p33, p34, p44 = upper
+    p00, p01, p02, p03, p04, p05, p06 = upper[:7]
+    p11, p12, p13, p14, p15, p16 = upper[7:13]
+    p22, p23, p24, p25, p26 = upper[13:18]
+    p33, p34, p35, p36, p44, p45, p46, p55, p56, p66 = upper[18:]
     r00 = p00 + a * p02 + b * p03 + g * p04
     r01 = p01 + a * p12 + b * p13 + g * p14
     r02 = p02 + a * p22 + b * p23 + g * p24
@@ -104,8 +113,10 @@ def predict(mean: Mean, upper: Upper, dt_s: float, noise: Noise) -> tuple[Mean, 
     qa, qw = noise.acceleration_m2ps3, noise.yaw_acceleration_rad2ps3
     dt2 = dt_s * dt_s
     dt3 = dt2 * dt_s
-    quu, quv = qa * dt3 / 3.0, qa * dt2 / 2.0
-    qnn = qw * v * v * dt2 * dt3 / 20.0 + noise.slip_s * v * v * dt_s
+    v2 = v * v
+    quu, quv = qa * dt3 / 3.0 + noise.along_s * v2 * dt_s, qa * dt2 / 2.0
+    slip = v2 * w
+    qnn = qw * v2 * dt2 * dt3 / 20.0 + noise.slip_s5pm2 * slip * slip * dt_s
     qny, qnw = qw * v * dt2 * dt2 / 8.0, qw * v * dt3 / 6.0
     new = (
         r00 + a * r02 + b * r03 + g * r04 + c * c * quu + s * s * qnn,
@@ -113,43 +124,69 @@ def predict(mean: Mean, upper: Upper, dt_s: float, noise: Noise) -> tuple[Mean, 
         r02 + dt_s * r04 - s * qny,
         r03 + c * quv,
         r04 - s * qnw,
+        p05 + a * p25 + b * p35 + g * p45,
+        p06 + a * p26 + b * p36 + g * p46,
         r11 + d * r12 + e * r13 + f * r14 + s * s * quu + c * c * qnn,
         r12 + dt_s * r14 + c * qny,
         r13 + s * quv,
         r14 + c * qnw,
-        r22 + dt_s * r24 + qw * dt3 / 3.0,
+        p15 + d * p25 + e * p35 + f * p45,
+        p16 + d * p26 + e * p36 + f * p46,
+        r22 + dt_s * r24 + qw * dt3 / 3.0 + noise.yaw_rad2ps * min(v2, 1.0) * dt_s,
         r23,
         r24 + qw * dt2 / 2.0,
+        p25 + dt_s * p45,
+        p26 + dt_s * p46,
         p33 + qa * dt_s,
         p34,
+        p35,
+        p36,
         p44 + qw * dt_s,
+        p45,
+        p46,
+        p55 + noise.scale_1ps * dt_s,
+        p56,
+        p66 + noise.offset_rad2ps3 * dt_s,
     )
-    return (x + chord * c, y + chord * s, wrap(heading + half), v, w), new
+    return (x + chord * c, y + chord * s, wrap(heading + half), v, w, scale, offset), new
 
 
-def update_entry(
-    mean: Mean, upper: Upper, entry: int, residual: float, variance: float
+def update(
+    mean: Mean,
+    upper: Upper,
+    row: tuple[int, float, int, float],
+    residual: float,
+    variance: float,
 ) -> tuple[Mean, Upper]:
-    """Joseph update by a measurement of one entry of the state, with its `variance`.
+    """Joseph update by a scalar that sees two entries of the state.
+
+    Args:
+        row: `(i, h_i, j, h_j)`, the two entries of the measurement's Jacobian that are not zero.
+        residual: measured minus predicted.
+        variance: of the measurement.
 
     Measurements whose noises are independent may follow one another: it equals taking them at
     once, the residual of the second being formed after the first.
     """
-    row = INDEX[entry]
-    p = (upper[row[0]], upper[row[1]], upper[row[2]], upper[row[3]], upper[row[4]])
-    s = p[entry] + variance
-    k = (p[0] / s, p[1] / s, p[2] / s, p[3] / s, p[4] / s)
-    # (I - k h') P (I - k h')' + k r k', written out for an h that picks one entry
+    first, h_first, second, h_second = row
+    one, two = INDEX[first], INDEX[second]
+    p = [h_first * upper[m] + h_second * upper[n] for m, n in zip(one, two, strict=False)]
+    s = h_first * p[first] + h_second * p[second] + variance
+    k0, k1, k2, k3, k4, k5, k6 = k = [value / s for value in p]
+    # (I - k h') P (I - k h')' + k r k', with P h' = p and s = h p + r
     new = tuple(
         [
             value - k[i] * p[j] - p[i] * k[j] + k[i] * k[j] * s
             for (i, j), value in zip(_PAIRS, upper, strict=False)
         ]
     )
+    x, y, yaw, v, w, scale, offset = mean
     return (
-        mean[0] + k[0] * residual,
-        mean[1] + k[1] * residual,
-        wrap(mean[2] + k[2] * residual),
-        mean[3] + k[3] * residual,
-        mean[4] + k[4] * residual,
+        x + k0 * residual,
+        y + k1 * residual,
+        wrap(yaw + k2 * residual),
+        v + k3 * residual,
+        w + k4 * residual,
+        scale + k5 * residual,
+        offset + k6 * residual,
     ), new

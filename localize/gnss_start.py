@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localize.ctrv_kernel import wrap
+from localize.output_state import Pose, PoseUpper
 from vehicle.motion import move_along_arc
 
 Floats = NDArray[np.float64]
@@ -48,8 +49,8 @@ class GnssStart:
 
     def fix(
         self, stamp_s: float, east_m: float, north_m: float, sd_m: float
-    ) -> tuple[Floats, Floats] | None:
-        """Pose `(3,)` and covariance `(3, 3)` at the fix, once its heading is known."""
+    ) -> tuple[Pose, PoseUpper] | None:
+        """Pose and packed covariance at the fix, once its heading is known."""
         if self._last is None:
             return None
         self._move_to(stamp_s)
@@ -61,7 +62,7 @@ class GnssStart:
             return None
         return self._fit()
 
-    def _fit(self) -> tuple[Floats, Floats] | None:
+    def _fit(self) -> tuple[Pose, PoseUpper] | None:
         table = np.array(self._pairs)
         weight = 1.0 / table[:, 4] ** 2
         # a fix far from the others' common motion would turn the path: one pass of reweighting
@@ -81,17 +82,15 @@ class GnssStart:
         x, y, yaw = self._reckoned
         dx, dy = x - centre_local[0], y - centre_local[1]
         c, s = cos(rotation), sin(rotation)
-        pose = np.array(
-            [
-                centre_fixed[0] + c * dx - s * dy,
-                centre_fixed[1] + s * dx + c * dy,
-                wrap(yaw + rotation),
-            ]
+        pose = (
+            float(centre_fixed[0] + c * dx - s * dy),
+            float(centre_fixed[1] + s * dx + c * dy),
+            wrap(yaw + rotation),
         )
         arm = hypot(dx, dy)
         # errors of neighbouring fixes are alike: the mean is no better than one of them
         position = float(np.median(table[:, 4])) ** 2 + (arm * yaw_sd) ** 2
-        return pose, np.diag([position, position, yaw_sd**2])
+        return pose, (position, 0.0, 0.0, position, 0.0, yaw_sd**2)
 
     @staticmethod
     def _align(table: Floats, weight: Floats) -> tuple[Floats, Floats, float]:

@@ -54,6 +54,34 @@ class PoseUpdate:
     taken_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Learned:
+    """What the particle filter has learned about the odometry; see `OdometryCalibration`."""
+
+    yaw_rate_offset_radps: float = 0.0
+    curvature_radpm: float = 0.0
+    yaw_rate_scale: float = 0.0
+    speed_scale: float = 0.0
+
+    @classmethod
+    def of(cls, particle_filter: ParticleFilter) -> _Learned:
+        found = particle_filter.calibration
+        return cls(
+            found.yaw_rate_offset_radps,
+            found.curvature_offset_radpm,
+            found.yaw_rate_scale,
+            found.speed_scale,
+        )
+
+    def correct(self, sample: OdometrySample) -> tuple[float, float]:
+        """Speed and yaw rate without what has been learned."""
+        turning = (1.0 + self.yaw_rate_scale) * sample.yaw_rate_radps - self.yaw_rate_offset_radps
+        return (
+            (1.0 + self.speed_scale) * sample.speed_mps,
+            turning + self.curvature_radpm * sample.speed_mps,
+        )
+
+
 class Localizer:
     """A pole map and a stream of samples to a pose at any moment.
 
@@ -92,6 +120,7 @@ class Localizer:
         self._filter = OutputFilter(config.output, self._antenna)
         self._limiter = OutputLimiter(config.output)
         self._config: OutputConfig = config.output
+        self._learned = _Learned()
         self._perception = perception
         self._delay_s = processing_delay_s
         self._on_update = on_update
@@ -162,7 +191,7 @@ class Localizer:
                 return
             self._release(sample.arrival_s)
             with self._timed("output_odometry"):
-                placed = self._filter.odometry(stamp, sample.speed_mps, sample.yaw_rate_radps)
+                placed = self._filter.odometry(stamp, *self._learned.correct(sample))
             self._count("odometry", placed)
             if self._particle_filter is not None:
                 self._inbox.append(replace(sample, stamp_s=stamp))
@@ -246,9 +275,11 @@ class Localizer:
             scan = self._look(replace(sample, stamp_s=stamp))
             with self._timed("particle_filter"):
                 estimate = self._particle_filter.update(scan)
+            learned = _Learned.of(self._particle_filter)
         if estimate is None:
             return None
         with self._fast:
+            self._learned = learned
             taken = sample.arrival_s + self._delay_s
             heapq.heappush(self._pending, (taken, next(self._numbers), estimate))
             self._release(sample.arrival_s)

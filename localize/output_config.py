@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
 
 
@@ -28,15 +30,24 @@ class OutputConfig(BaseModel):
     acceleration_time_s: float = Field(0.5, gt=0.0)
     yaw_acceleration_radps2: float = Field(0.5, gt=0.0)
     yaw_acceleration_time_s: float = Field(0.3, gt=0.0)
-    slip_share: float = Field(
-        0.01, ge=0.0, description="Sideways speed that CTRV lacks, as a share of the speed."
+    slip_rad_per_mps2: float = Field(
+        0.004, ge=0.0, description="Side-slip of the rear axle, which CTRV lacks."
     )
     slip_time_s: float = Field(0.5, gt=0.0)
 
     # odometry
     speed_sd_mps: float = Field(0.05, gt=0.0)
-    speed_sd_share: float = Field(0.01, ge=0.0, description="Added to it, of the speed.")
-    yaw_rate_sd_radps: float = Field(0.005, gt=0.0)
+    speed_sd_share: float = Field(0.0, ge=0.0, description="Added to it, of the speed.")
+    yaw_rate_sd_radps: float = Field(0.003, gt=0.0)
+    speed_error_share: float = Field(
+        0.015, ge=0.0, description="Error that lasts: of the speed, standard deviation."
+    )
+    yaw_rate_error_radps: float = Field(0.004, ge=0.0, description="The same of the yaw rate.")
+    odometry_error_time_s: float = Field(0.5, gt=0.0, description="How long such errors last.")
+    speed_scale_sd: float = Field(0.03, ge=0.0, description="Relative error, estimated.")
+    speed_scale_walk: float = Field(0.001, ge=0.0, description="Its wander in 1 s.")
+    yaw_rate_offset_sd_radps: float = Field(0.005, ge=0.0, description="Estimated.")
+    yaw_rate_offset_walk_radps: float = Field(0.0003, ge=0.0, description="Its wander in 1 s.")
     odometry_gate: float = Field(0.9999, gt=0.0, lt=1.0)
     odometry_rejections_max: int = Field(10, ge=1, description="In a row; then it is believed.")
     standstill_mps: float = Field(0.02, ge=0.0, description="Slower than this the car stands.")
@@ -46,8 +57,13 @@ class OutputConfig(BaseModel):
     gate: bool = Field(True, description="Off: every pose is taken in.")
     pose_floor_m: float = Field(0.03, ge=0.0, description="Added to each pose's own sd.")
     pose_floor_rad: float = Field(0.003, ge=0.0)
-    pose_inflation: float = Field(
-        1.0, ge=1.0, description="On the covariance: errors of successive poses are correlated."
+    pose_errors: Literal["shared", "independent"] = Field(
+        "shared",
+        description="Shared: successive poses err alike, and the output never claims to know more "
+        "than the pose that it was given. Independent: each pose is news, as a plain EKF has it.",
+    )
+    pose_follow_s: float = Field(
+        0.3, gt=0.0, description="Time in which the output follows shared poses at least."
     )
     offer_sd_max_m: float = Field(
         5.0, gt=0.0, description="A pose with a larger major position sd is not offered."
@@ -72,6 +88,9 @@ class OutputConfig(BaseModel):
     gnss_correlation_s: float = Field(60.0, ge=0.0)
     gnss_after_s: float = Field(5.0, ge=0.0, description="Without an accepted pose.")
     gnss_gate: float = Field(0.99, gt=0.0, lt=1.0)
+    gnss_restart_after_s: float = Field(
+        5.0, gt=0.0, description="Of rejected fixes, without an accepted pose: start anew."
+    )
     start_yaw_sd_rad: float = Field(0.3, gt=0.0, description="Heading known well enough to start.")
 
     # the output's own limits

@@ -8,20 +8,23 @@ rejection policy, counts) is part of the state, so a replay decides again, as in
 from __future__ import annotations
 
 from collections import deque
-from math import cos, isfinite, sin
+from dataclasses import replace
+from math import cos, exp, isfinite, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
+from localize.correlation import missing, news
 from localize.ctrv_kernel import (
     INDEX,
+    SIZE,
     Mean,
     Noise,
     Upper,
     pack,
     predict,
     unpack,
-    update_entry,
+    update,
     wrap,
 )
 from localize.gnss_start import GnssStart
@@ -34,20 +37,28 @@ from localize.output_state import (
     Pose,
     PoseEvent,
     PoseUpper,
-    Standstill,
+    RestartEvent,
 )
 from localize.rejection import antenna_residual, moved, reject, weigh
 from vehicle.delay import Placement, ReplayBuffer
-from vehicle.kalman import angle_residual, chi_square_gate, innovate, is_covariance, joseph_update
+from vehicle.kalman import (
+    angle_residual,
+    chi_square_gate,
+    innovate,
+    is_covariance,
+    joseph_update,
+)
 
 Floats = NDArray[np.float64]
 
 # order of events of one stamp
-_ODOMETRY, _GNSS, _POSE = 0, 1, 2
-_POSE_ROWS = np.eye(3, 5)
-_STANDSTILL_SD_MPS, _STANDSTILL_SD_RADPS = 0.005, 0.0005
-_STANDSTILL_SAMPLES_MAX = 400
-_NEVER = float("-inf")
+_ODOMETRY, _GNSS, _RESTART, _POSE = 0, 1, 2, 3
+_POSE_ROWS = np.eye(3, SIZE)
+# what a standing car does
+_STILL_SPEED_VARIANCE, _STILL_RATE_VARIANCE = 0.005**2, 0.0005**2
+_SPEED, _RATE, _SCALE, _OFFSET = 3, 4, 5, 6
+_MOVING_RATE = (_RATE, 1.0, _OFFSET, 1.0)
+_NEVER, _FOREVER = float("-inf"), float("inf")
 
 
 class OutputFilter:
@@ -65,7 +76,11 @@ class OutputFilter:
         self._noise = Noise(
             2.0 * config.acceleration_mps2**2 * config.acceleration_time_s,
             2.0 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s,
-            2.0 * config.slip_share**2 * config.slip_time_s,
+            2.0 * config.slip_rad_per_mps2**2 * config.slip_time_s,
+            2.0 * config.speed_error_share**2 * config.odometry_error_time_s,
+            2.0 * config.yaw_rate_error_radps**2 * config.odometry_error_time_s,
+            config.speed_scale_walk**2,
+            config.yaw_rate_offset_walk_radps**2,
         )
         self._pose_limit = chi_square_gate(config.pose_gate, 3)
         self._odometry_limit = chi_square_gate(config.odometry_gate, 2)
@@ -81,9 +96,9 @@ class OutputFilter:
     def odometry(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> Placement | None:
         """Take odometry in; None while the filter has not started."""
         event = OdometryEvent(speed_mps, yaw_rate_radps)
+        self._start.odometry(stamp_s, speed_mps, yaw_rate_radps)
         if self._buffer.started:
             return self._buffer.insert(stamp_s, event, kind=_ODOMETRY)
-        self._start.odometry(stamp_s, speed_mps, yaw_rate_radps)
         self._recent.append((stamp_s, event))
         while self._recent[0][0] < stamp_s - self._config.horizon_s:
             self._recent.popleft()
@@ -96,7 +111,7 @@ class OutputFilter:
         sure with `usable_pose` that it can be used.
         """
         config = self._config
-        r = covariance * config.pose_inflation
+        r = covariance
         a, b, c = float(r[0, 0]), float(r[0, 1]), float(r[0, 2])
         d, e, f = float(r[1, 1]), float(r[1, 2]), float(r[2, 2])
         floor_m2, floor_rad2 = config.pose_floor_m**2, config.pose_floor_rad**2
@@ -115,14 +130,16 @@ class OutputFilter:
         None while the fixes do not yet show the heading.
         """
         sd = self._config.gnss_sd_m * max(hdop, 0.5)
-        if self._buffer.started:
-            return self._buffer.insert(stamp_s, GnssEvent(east_m, north_m, sd), kind=_GNSS)
         found = self._start.fix(stamp_s, east_m, north_m, sd)
+        if self._buffer.started:
+            placed = self._buffer.insert(stamp_s, GnssEvent(east_m, north_m, sd), kind=_GNSS)
+            lasted = stamp_s - self._buffer.state.gnss_rejected_since_s
+            if found is not None and lasted >= self._config.gnss_restart_after_s:
+                self._buffer.insert(stamp_s, RestartEvent(*found), kind=_RESTART)
+            return placed
         if found is None:
             return None
-        (x, y, yaw), p = found[0].tolist(), found[1].tolist()
-        upper = (p[0][0], p[0][1], p[0][2], p[1][1], p[1][2], p[2][2])
-        self._begin(stamp_s, (x, y, yaw), upper, by_pose=False)
+        self._begin(stamp_s, *found, by_pose=False)
         return Placement.APPENDED
 
     # what goes out
@@ -165,26 +182,30 @@ class OutputFilter:
         state = state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
         if isinstance(event, PoseEvent):
             return self._take_pose(state, event)
-        return self._take_gnss(state, event)
+        if isinstance(event, GnssEvent):
+            return self._take_gnss(state, event)
+        counts = state.counts._replace(gnss_restarts=state.counts.gnss_restarts + 1)
+        return moved(state, event.pose, event.upper)._replace(counts=counts, last_pose_s=_NEVER)
 
     def _take_odometry(
         self, state: FilterState, stamp_s: float, mean: Mean, upper: Upper, event: OdometryEvent
     ) -> FilterState:
         config = self._config
         speed, rate = event
-        still, counts, rejected = state.standstill, state.counts, 0
-        if abs(speed) <= config.standstill_mps:
-            still = _standing(still, rate)
-            speed = rate = 0.0
-            rv, rw = _STANDSTILL_SD_MPS**2, _STANDSTILL_SD_RADPS**2
+        counts, rejected = state.counts, 0
+        standing = abs(speed) <= config.standstill_mps
+        if standing:
+            speed = 0.0
+            row_v, row_w = (_SPEED, 1.0, _SCALE, 0.0), (_RATE, 1.0, _OFFSET, 0.0)
+            rv, rw = _STILL_SPEED_VARIANCE, _STILL_RATE_VARIANCE
+            expected_v, expected_w, seen_w = mean[3], mean[4], 0.0
         else:
-            rate -= still.offset_radps
+            row_v, row_w = (_SPEED, 1.0 + mean[5], _SCALE, mean[3]), _MOVING_RATE
             rv = (config.speed_sd_mps + config.speed_sd_share * abs(speed)) ** 2
             rw = config.yaw_rate_sd_radps**2
-        dv, dw = speed - mean[3], rate - mean[4]
-        s00, s01, s11 = upper[12] + rv, upper[13], upper[14] + rw
-        nis = (dv * dv * s11 - 2.0 * dv * dw * s01 + dw * dw * s00) / (s00 * s11 - s01 * s01)
-        if config.gate and nis > self._odometry_limit:
+            expected_v, expected_w, seen_w = mean[3] * (1.0 + mean[5]), mean[4] + mean[6], rate
+        dv, dw = speed - expected_v, seen_w - expected_w
+        if config.gate and _pair_nis(upper, row_v, row_w, rv, rw, dv, dw) > self._odometry_limit:
             rejected = state.odometry_rejected + 1
             counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)
             if rejected > config.odometry_rejections_max:
@@ -192,8 +213,13 @@ class OutputFilter:
                 rejected = 0
                 upper = _widened(upper, dv * dv, dw * dw)
         if not rejected:
-            mean, upper = update_entry(mean, upper, 3, speed - mean[3], rv)
-            mean, upper = update_entry(mean, upper, 4, rate - mean[4], rw)
+            mean, upper = update(mean, upper, row_v, dv, rv)
+            predicted = mean[4] if standing else mean[4] + mean[6]
+            mean, upper = update(mean, upper, row_w, seen_w - predicted, rw)
+            if standing:
+                # what is measured while nothing turns is the offset
+                variance = config.yaw_rate_sd_radps**2
+                mean, upper = update(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], variance)
         # the constructor, not _replace: this is the hot path
         return FilterState(
             stamp_s,
@@ -201,10 +227,10 @@ class OutputFilter:
             upper,
             counts,
             state.rival,
-            still,
             state.last_pose_s,
             state.last_gnss_s,
             rejected,
+            state.gnss_rejected_since_s,
             state.decision,
             state.nis,
         )
@@ -212,18 +238,26 @@ class OutputFilter:
     def _take_pose(self, state: FilterState, event: PoseEvent) -> FilterState:
         config = self._config
         counts = state.counts
-        if state.last_pose_s == _NEVER:
-            counts = counts._replace(takeovers=counts.takeovers + 1)
-            started = moved(state, event.pose, event.upper)
-            return started._replace(counts=counts, decision="started")
         noise, covariance = _square(event.upper), unpack(state.upper)
         residual = angle_residual(np.array(event.pose), np.array(state.mean[:3]), angle_rows=(2,))
         innovation = innovate(residual, covariance, _POSE_ROWS, noise)
         if config.gate and innovation.nis > self._pose_limit:
             return reject(state, event, residual, innovation.nis, config)
+        if state.last_pose_s == _NEVER:
+            # GNSS has started the filter, poles know better: the first pose that fits takes over
+            counts = counts._replace(takeovers=counts.takeovers + 1)
+            return moved(state, event.pose, event.upper)._replace(counts=counts, decision="started")
+        weight, shared = noise, config.pose_errors == "shared"
+        if shared:
+            least = 1.0 - exp((state.last_pose_s - state.stamp_s) / config.pose_follow_s)
+            weight = news(covariance[:3, :3], noise, least)
+            nis = innovation.nis
+            innovation = replace(innovate(residual, covariance, _POSE_ROWS, weight), nis=nis)
         mean, updated = joseph_update(
-            np.array(state.mean), covariance, innovation, _POSE_ROWS, noise
+            np.array(state.mean), covariance, innovation, _POSE_ROWS, weight
         )
+        if shared:
+            updated[:3, :3] += missing(updated[:3, :3], noise)
         return state._replace(
             mean=_as_mean(mean),
             upper=pack(updated),
@@ -241,19 +275,20 @@ class OutputFilter:
         if state.rival is not None:
             state = state._replace(rival=weigh(state, state.rival, event, self._antenna))
         if state.stamp_s - state.last_pose_s < config.gnss_after_s:
-            return state
-        x, y, yaw, _, _ = state.mean
+            return state._replace(gnss_rejected_since_s=_FOREVER)
+        x, y, yaw = state.mean[:3]
         residual = np.array(antenna_residual((x, y, yaw), event, self._antenna))
         c, s = cos(yaw), sin(yaw)
         ax, ay = self._antenna
-        jacobian = np.zeros((2, 5))
+        jacobian = np.zeros((2, SIZE))
         jacobian[0, 0] = jacobian[1, 1] = 1.0
         jacobian[0, 2], jacobian[1, 2] = -s * ax - c * ay, c * ax - s * ay
         covariance, alone = unpack(state.upper), np.eye(2) * event.sd_m**2
         counts = state.counts
         if config.gate and innovate(residual, covariance, jacobian, alone).nis > self._gnss_limit:
             counts = counts._replace(gnss_rejections=counts.gnss_rejections + 1)
-            return state._replace(counts=counts)
+            since = min(state.gnss_rejected_since_s, state.stamp_s)
+            return state._replace(counts=counts, gnss_rejected_since_s=since)
         # fixes that share their error must not be averaged as if they did not
         noise = alone * (1.0 + 2.0 * config.gnss_correlation_s / interval)
         innovation = innovate(residual, covariance, jacobian, noise)
@@ -262,14 +297,19 @@ class OutputFilter:
             mean=_as_mean(mean),
             upper=pack(updated),
             counts=counts._replace(gnss_accepted=counts.gnss_accepted + 1),
+            gnss_rejected_since_s=_FOREVER,
         )
 
     def _begin(self, stamp_s: float, pose: Pose, upper: PoseUpper, *, by_pose: bool) -> None:
+        config = self._config
         known = self._recent[-1][1] if self._recent else None
         speed, rate = known if known else (0.0, 0.0)
         spread = [1.0, 0.1] if known else [100.0, 1.0]
+        wrong = [config.speed_scale_sd**2, config.yaw_rate_offset_sd_radps**2]
         state = FilterState(
-            stamp_s, (0.0, 0.0, 0.0, speed, rate), pack(np.diag([1.0, 1.0, 1.0, *spread]))
+            stamp_s,
+            (0.0, 0.0, 0.0, speed, rate, 0.0, 0.0),
+            pack(np.diag([1.0, 1.0, 1.0, *spread, *wrong])),
         )
         state = moved(state, pose, upper)._replace(decision="started")
         self._buffer.reset(state if by_pose else state._replace(last_pose_s=_NEVER), stamp_s)
@@ -287,8 +327,8 @@ def usable_pose(stamp_s: float, pose: Floats, covariance: Floats) -> str | None:
 
 
 def _as_mean(values: Floats) -> Mean:
-    x, y, yaw, v, w = values.tolist()
-    return (x, y, wrap(yaw), v, w)
+    x, y, yaw, v, w, scale, offset = values.tolist()
+    return (x, y, wrap(yaw), v, w, scale, offset)
 
 
 def _square(upper: PoseUpper) -> Floats:
@@ -296,15 +336,30 @@ def _square(upper: PoseUpper) -> Floats:
     return np.array([[a, b, c], [b, d, e], [c, e, f]])
 
 
-def _standing(still: Standstill, rate_radps: float) -> Standstill:
-    """The yaw rate's offset, a mean that forgets."""
-    samples = min(still.samples + 1, _STANDSTILL_SAMPLES_MAX)
-    offset = still.offset_radps + (rate_radps - still.offset_radps) / samples
-    return Standstill(offset, samples)
+def _pair_nis(
+    upper: Upper,
+    one: tuple[int, float, int, float],
+    two: tuple[int, float, int, float],
+    variance_one: float,
+    variance_two: float,
+    residual_one: float,
+    residual_two: float,
+) -> float:
+    """Squared Mahalanobis distance of two scalars with rows as in `update`."""
+    i, a, j, b = one
+    k, c, m, d = two
+    row_i, row_j, row_k = INDEX[i], INDEX[j], INDEX[k]
+    s00 = a * a * upper[row_i[i]] + 2.0 * a * b * upper[row_i[j]] + b * b * upper[row_j[j]]
+    s11 = c * c * upper[row_k[k]] + 2.0 * c * d * upper[row_k[m]] + d * d * upper[INDEX[m][m]]
+    s01 = a * (c * upper[row_i[k]] + d * upper[row_i[m]])
+    s01 += b * (c * upper[row_j[k]] + d * upper[row_j[m]])
+    s00, s11 = s00 + variance_one, s11 + variance_two
+    cross = residual_one * residual_one * s11 + residual_two * residual_two * s00
+    return (cross - 2.0 * residual_one * residual_two * s01) / (s00 * s11 - s01 * s01)
 
 
 def _widened(upper: Upper, speed_m2ps2: float, rate_rad2ps2: float) -> Upper:
     values = list(upper)
-    values[INDEX[3][3]] += speed_m2ps2
-    values[INDEX[4][4]] += rate_rad2ps2
+    values[INDEX[_SPEED][_SPEED]] += speed_m2ps2
+    values[INDEX[_RATE][_RATE]] += rate_rad2ps2
     return tuple(values)

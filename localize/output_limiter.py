@@ -59,7 +59,7 @@ class OutputLimiter:
         """The output for `state`, the filter's prediction to a stamp after the last one."""
         x, y, yaw = state.mean[:3]
         counts = state.counts
-        jumps = counts.reinitializations + counts.takeovers
+        jumps = counts.reinitializations + counts.takeovers + counts.gnss_restarts
         flag, jump = "", 0.0
         if self._last is None:
             pose, flag = (x, y, yaw), "started"
@@ -75,14 +75,14 @@ class OutputLimiter:
 
     def unlimited(self, state: FilterState) -> OutputPose:
         """The filter's own pose; does not touch the limiter."""
-        x, y, yaw, _, _ = state.mean
+        x, y, yaw = state.mean[:3]
         return self._answer(state, (x, y, yaw), "", 0.0)
 
     def _carried(self, state: FilterState) -> Pose:
         """The last output moved on by the filter's speed and yaw rate."""
-        stamp, (x, y, yaw) = self._last or (state.stamp_s, (0.0, 0.0, 0.0))
-        moved = step((x, y, yaw, state.mean[3], state.mean[4]), state.stamp_s - stamp)
-        return moved[0], moved[1], moved[2]
+        stamp, pose = self._last or (state.stamp_s, (0.0, 0.0, 0.0))
+        x, y, yaw = step(pose, state.mean[3], state.mean[4], state.stamp_s - stamp)
+        return x, y, yaw
 
     def _approach(self, state: FilterState) -> Pose:
         x, y, yaw = self._carried(state)

@@ -31,7 +31,14 @@ class GnssEvent(NamedTuple):
     sd_m: float
 
 
-Event = OdometryEvent | PoseEvent | GnssEvent
+class RestartEvent(NamedTuple):
+    """A pose that the last fixes agree on, while the filter disagrees with them for long."""
+
+    pose: Pose
+    upper: PoseUpper
+
+
+Event = OdometryEvent | PoseEvent | GnssEvent | RestartEvent
 
 
 class Counts(NamedTuple):
@@ -46,6 +53,7 @@ class Counts(NamedTuple):
     odometry_rejections: int = 0
     gnss_accepted: int = 0
     gnss_rejections: int = 0
+    gnss_restarts: int = 0
 
 
 class Rival(NamedTuple):
@@ -61,19 +69,15 @@ class Rival(NamedTuple):
     evidence: float = 0.0
 
 
-class Standstill(NamedTuple):
-    """Yaw rate that the odometry shows while the car stands: its offset."""
-
-    offset_radps: float = 0.0
-    samples: int = 0
-
-
 class FilterState(NamedTuple):
     """Immutable, so that replay can go back to it.
 
     Attributes:
-        mean: east, north, yaw, speed, yaw rate of the rear axle.
+        mean: east, north, yaw, speed, yaw rate of the rear axle; relative error of the odometry's
+            speed, offset of its yaw rate.
         upper: upper triangle of the covariance.
+        odometry_rejected: samples in a row.
+        gnss_rejected_since_s: since when all fixes have failed, infinite if they do not.
         decision: what became of the last pose.
         nis: its squared Mahalanobis distance.
     """
@@ -83,9 +87,9 @@ class FilterState(NamedTuple):
     upper: Upper
     counts: Counts = Counts()
     rival: Rival | None = None
-    standstill: Standstill = Standstill()
     last_pose_s: float = float("-inf")
     last_gnss_s: float = float("-inf")
     odometry_rejected: int = 0
+    gnss_rejected_since_s: float = float("inf")
     decision: str = ""
     nis: float = float("nan")

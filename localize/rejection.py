@@ -13,7 +13,7 @@ from math import cos, exp, log, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from localize.ctrv_kernel import INDEX, Upper, pack, unpack, wrap
+from localize.ctrv_kernel import INDEX, SIZE, Upper, pack, unpack, wrap
 from localize.output_config import OutputConfig
 from localize.output_state import FilterState, GnssEvent, Pose, PoseEvent, PoseUpper, Rival
 
@@ -50,11 +50,12 @@ def reject(
 def moved(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:
     """The state put at a pose; speed and yaw rate stay, their ties to the old pose go."""
     a, b, c, d, e, f = upper
-    p = state.upper
+    none = (0.0, 0.0, 0.0, 0.0)
     return state._replace(
-        mean=(*pose, state.mean[3], state.mean[4]),
-        upper=(a, b, c, 0.0, 0.0, d, e, 0.0, 0.0, f, 0.0, 0.0, p[12], p[13], p[14]),
+        mean=(*pose, *state.mean[3:]),
+        upper=(a, b, c, *none, d, e, *none, f, *none, *state.upper[18:]),
         rival=None,
+        gnss_rejected_since_s=float("inf"),
         last_pose_s=state.stamp_s,
     )
 
@@ -89,7 +90,7 @@ def _log_likelihood(pose: Pose, event: GnssEvent, antenna_m: tuple[float, float]
 def _inflated(upper: Upper, config: OutputConfig) -> Upper:
     """The pose's standard deviations times the factor, each up to its bound."""
     limits = (config.inflate_max_m, config.inflate_max_m, config.inflate_max_rad)
-    factor = np.ones(5)
+    factor = np.ones(SIZE)
     for i, limit in enumerate(limits):
         factor[i] = max(1.0, min(config.inflate_factor, limit / sqrt(upper[INDEX[i][i]])))
     return pack(unpack(upper) * factor[:, None] * factor[None, :])

@@ -128,6 +128,8 @@ def ctrv_process_noise(
     acceleration_m2ps3: float,
     yaw_acceleration_rad2ps3: float,
     lateral_m2ps: ArrayLike = 0.0,
+    along_m2ps: ArrayLike = 0.0,
+    yaw_rad2ps: ArrayLike = 0.0,
 ) -> Floats:
     """Covariance `(..., 5, 5)` that white accelerations add over `dt_s`.
 
@@ -141,6 +143,7 @@ def ctrv_process_noise(
         acceleration_m2ps3: spectral density of the longitudinal acceleration.
         yaw_acceleration_rad2ps3: spectral density of the yaw acceleration.
         lateral_m2ps: `(...)` spectral density of a sideways velocity (slip) that CTRV lacks.
+        along_m2ps, yaw_rad2ps: `(...)` of errors in speed and yaw rate that CTRV does not carry.
     """
     start = np.asarray(states, dtype=np.float64)
     dt = np.asarray(dt_s, dtype=np.float64)
@@ -150,13 +153,13 @@ def ctrv_process_noise(
     local = np.zeros((*np.broadcast_shapes(heading.shape, dt.shape), 5, 5))
     dt2 = dt * dt
     dt3 = dt2 * dt
-    local[..., 0, 0] = qa * dt3 / 3.0
+    local[..., 0, 0] = qa * dt3 / 3.0 + np.asarray(along_m2ps) * dt
     local[..., 0, 3] = local[..., 3, 0] = qa * dt2 / 2.0
     local[..., 3, 3] = qa * dt
     local[..., 1, 1] = qw * v * v * dt2 * dt3 / 20.0 + np.asarray(lateral_m2ps) * dt
     local[..., 1, 2] = local[..., 2, 1] = qw * v * dt2 * dt2 / 8.0
     local[..., 1, 4] = local[..., 4, 1] = qw * v * dt3 / 6.0
-    local[..., 2, 2] = qw * dt3 / 3.0
+    local[..., 2, 2] = qw * dt3 / 3.0 + np.asarray(yaw_rad2ps) * dt
     local[..., 2, 4] = local[..., 4, 2] = qw * dt2 / 2.0
     local[..., 4, 4] = qw * dt
     turn = np.zeros_like(local)
