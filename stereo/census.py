@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereo.config import Census
 from stereo.matching_types import Image
 
 Bytes = NDArray[np.uint8]
-
-CENSUS_RADIUS_PX = 2
-CENSUS_BITS = 24
 
 
 def neighbour_offsets(radius_px: int) -> list[tuple[int, int]]:
@@ -35,22 +33,40 @@ def _neighbours(image: Image, radius_px: int) -> Iterator[NDArray[np.bool_]]:
         yield np.less(padded[v : v + height, u : u + width], image)
 
 
-def census_planes(image: Image) -> Bytes:
-    """5x5 census of a grey image as three bytes a pixel.
+def census_pairs(kind: Census) -> list[tuple[int, int, int, int]]:
+    """The 24 pairs of pixels that a census compares, as `(dv, du, dv, du)` from its pixel.
 
-    Bit k (k = 0 ... 23, row by row, centre left out) is set where neighbour k is darker than the
-    centre; plane j holds the bits 8j to 8j + 7. Outside the image the nearest pixel counts.
+    Source: Zabih and Woodfill, ECCV 1994 (neighbours against the centre); Spangenberg et al., CAIP
+    2013 (pairs symmetric about the centre, which no single noisy pixel can spoil).
+    """
+    if kind == "centre5x5":
+        return [(dv, du, 0, 0) for dv, du in neighbour_offsets(2)]
+    return [(dv, du, -dv, -du) for dv, du in neighbour_offsets(3)[:24]]
+
+
+def census_planes(image: Image, kind: Census = "centre5x5") -> Bytes:
+    """The census of a grey image as three bytes a pixel.
+
+    Bit k is set where the first pixel of pair k is darker than the second; plane j holds the bits
+    8j to 8j + 7. Outside the image the nearest pixel counts.
 
     Args:
         image: `(height, width)`, 8 or 16 bit.
+        kind: which pairs are compared.
 
     Returns:
         `(3, height, width)` uint8.
-
-    Source: Zabih and Woodfill, ECCV 1994; 5x5 as in Spangenberg et al. 2016, section III.
     """
-    planes = np.zeros((3, *image.shape), dtype=np.uint8)
-    for bit, darker in enumerate(_neighbours(image, CENSUS_RADIUS_PX)):
+    height, width = image.shape
+    reach = 3
+    padded: NDArray[Any] = np.pad(image, reach, mode="edge")
+
+    def moved(dv: int, du: int) -> NDArray[Any]:
+        return padded[reach + dv : reach + dv + height, reach + du : reach + du + width]
+
+    planes = np.zeros((3, height, width), dtype=np.uint8)
+    for bit, (dv, du, other_dv, other_du) in enumerate(census_pairs(kind)):
+        darker = np.less(moved(dv, du), moved(other_dv, other_du))
         planes[bit // 8] |= darker.astype(np.uint8) << np.uint8(bit % 8)
     return planes
 

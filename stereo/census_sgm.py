@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stereo.census import census_pairs
 from stereo.checks import check_pair
 from stereo.config import StereoConfig
 from stereo.errors import StereoError
@@ -65,6 +66,7 @@ class CensusSgm:
         config, penalties = self._config, self._config.penalties
         tolerance = config.left_right_tolerance_px
         return self._kernel.CensusMatcher(
+            pairs=census_pairs(config.census),
             bits=bits,
             smoothing=config.smoothing,
             disparities=config.disparities,
@@ -80,6 +82,7 @@ class CensusSgm:
             median=config.median,
             tolerance=-1.0 if tolerance is None else tolerance,
             outside_cost=config.outside_cost,
+            cost_weight=config.cost_weight,
             threads=config.threads,
             instruction_set=config.instruction_set,
         )

@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Preprocessing = Literal["none", "clahe", "rank7x7", "partial_ranks", "census_bytes"]
 
+Census = Literal["centre5x5", "symmetric7x7"]
+
 LARGEST_PENALTY = 85  # three path sums above the matching cost must fit one byte
 
 
@@ -65,6 +67,8 @@ class StereoConfig(BaseModel):
         paths: directions along which costs are summed.
         right_map: `shared` reads the right view from the sums of the left; `own` sums again with
             the right view's edges, which costs twice the time and keeps more thin poles.
+        census: `centre5x5` compares 24 neighbours with the centre; `symmetric7x7` the 24 pairs of
+            opposite pixels of a 7x7 window.
         smoothing: rounds of 1-2-1 smoothing of the image that the census sees; the census of a
             noisy pixel is noise.
         uint16_bits: how many bits of a 16-bit image the camera fills.
@@ -87,11 +91,13 @@ class StereoConfig(BaseModel):
     paths: Literal[4, 8] = 8
     right_map: Literal["shared", "own"] = "shared"
     penalties: Penalties = Penalties()
+    census: Census = "centre5x5"
     smoothing: int = Field(default=1, ge=0, le=2)
     uint16_bits: int = Field(default=12, ge=8, le=16)
     subpixel: bool = True
     median: bool = False
     outside_cost: int = Field(default=12, ge=0, le=24)
+    cost_weight: int = Field(default=8, ge=1, le=16)
     threads: int = Field(default=2, ge=1, le=64)
     instruction_set: Literal["auto", "baseline", "avx2", "avx512"] = "auto"
     opencv: OpenCvConfig = OpenCvConfig()

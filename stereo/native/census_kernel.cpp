@@ -15,6 +15,7 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <mutex>
@@ -255,9 +256,9 @@ void check_rows(const float* own, const float* other, const u8* unique, float* o
 
 class CensusMatcher {
  public:
-  CensusMatcher(int bits, int smoothing, int disparities, int offset, int paths, bool own_right, int p1, int p2_min,
+  CensusMatcher(const std::vector<std::array<int, 4>>& pairs, int bits, int smoothing, int disparities, int offset, int paths, bool own_right, int p1, int p2_min,
                 int gamma, unsigned alpha_q16, int uniqueness_percent, bool subpixel, bool median,
-                float tolerance, int outside_cost, int threads, const std::string& instruction_set)
+                float tolerance, int outside_cost, int cost_weight, int threads, const std::string& instruction_set)
       : own_right_(own_right),
         median_(median),
         tolerance_(tolerance),
@@ -267,8 +268,15 @@ class CensusMatcher {
                        (paths == 4 || paths == 8) && p1 >= 0 && p1 <= p2_min && p2_min <= gamma &&
                        gamma <= 85 && uniqueness_percent >= 0 && uniqueness_percent < 100 &&
                        alpha_q16 <= (1u << 24) && outside_cost >= 0 && outside_cost <= 24 &&
-                       threads >= 1 && bits >= 1 && bits <= 16 && smoothing >= 0 && smoothing <= 2;
+                       threads >= 1 && cost_weight >= 1 && cost_weight <= 16 && bits >= 1 && bits <= 16 && smoothing >= 0 && smoothing <= 2;
     if (!valid) throw std::invalid_argument("a setting of the census matcher is out of its range");
+    if (pairs.size() != 24) throw std::invalid_argument("a census has 24 pairs of pixels");
+    for (std::size_t k = 0; k < 24; ++k) {
+      const auto& pair = pairs[k];
+      for (const int offset : pair)
+        if (std::abs(offset) > 16) throw std::invalid_argument("a census reaches 16 px at most");
+      problem_.pairs[k] = {pair[0], pair[1], pair[2], pair[3]};
+    }
     problem_.disparities = disparities;
     problem_.offset = offset;
     problem_.vertical_paths = paths == 8 ? 3 : 1;
@@ -279,6 +287,7 @@ class CensusMatcher {
     problem_.p2_min = static_cast<u32>(p2_min);
     problem_.gamma = static_cast<u32>(gamma);
     problem_.alpha_q16 = alpha_q16;
+    problem_.cost_weight = static_cast<i16>(cost_weight);
     problem_.smoothing = smoothing;
     for (int round = 0; round < 2; ++round) {  // each round multiplies by 16
       problem_.smoothing_shift[round] = std::max(0, bits + 4 - 16);
@@ -383,12 +392,12 @@ PYBIND11_MODULE(census_kernel, module) {
     return py::cast(names);
   });
   py::class_<CensusMatcher>(module, "CensusMatcher")
-      .def(py::init<int, int, int, int, int, bool, int, int, int, unsigned, int, bool, bool, float, int, int,
+      .def(py::init<const std::vector<std::array<int, 4>>&, int, int, int, int, int, bool, int, int, int, unsigned, int, bool, bool, float, int, int, int,
                     const std::string&>(),
-           py::kw_only(), py::arg("bits"), py::arg("smoothing"), py::arg("disparities"), py::arg("offset"), py::arg("paths"),
+           py::kw_only(), py::arg("pairs"), py::arg("bits"), py::arg("smoothing"), py::arg("disparities"), py::arg("offset"), py::arg("paths"),
            py::arg("own_right"), py::arg("p1"), py::arg("p2_min"), py::arg("gamma"),
            py::arg("alpha_q16"), py::arg("uniqueness_percent"), py::arg("subpixel"),
-           py::arg("median"), py::arg("tolerance"), py::arg("outside_cost"), py::arg("threads"),
+           py::arg("median"), py::arg("tolerance"), py::arg("outside_cost"), py::arg("cost_weight"), py::arg("threads"),
            py::arg("instruction_set"))
       .def_property_readonly("instruction_set", &CensusMatcher::instruction_set)
       .def("match", &CensusMatcher::match<std::uint8_t>, py::arg("left").noconvert(),

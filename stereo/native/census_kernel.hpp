@@ -64,6 +64,11 @@ class Buffer {
   std::size_t count_ = 0;
 };
 
+// Two pixels that one census bit compares, as offsets from the pixel that it describes.
+struct Pair {
+  int dv_one, du_one, dv_other, du_other;
+};
+
 // Sizes, penalties and where things lie in memory. Rows of pixels are padded to whole blocks of
 // kLanes, with guards on both sides that the diagonal paths and the shifted right view may read.
 struct Problem {
@@ -71,8 +76,10 @@ struct Problem {
   int disparities, offset;  // searched: offset ... offset + disparities - 1
   int vertical_paths;       // 1 (4 paths in all) or 3 (8 paths)
   int uniqueness_percent;
+  i16 cost_weight;          // how often the matching cost itself counts beside the excesses
   u8 p1, outside_cost;
   bool subpixel;
+  Pair pairs[24];
   int smoothing;           // rounds of 1 2 1 smoothing before the census
   int smoothing_shift[2];  // bits dropped in each
   u32 p2_min, gamma, alpha_q16;

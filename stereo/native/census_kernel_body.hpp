@@ -33,24 +33,31 @@ KERNEL_INLINE u8 hamming(u8 a, u8 b, u8 c) {
 }
 #endif
 
-// `bit` where the neighbour is darker than the centre.
-KERNEL_INLINE u16 darker(u16 neighbour, u16 centre, u16 bit) {
-  return static_cast<u16>(-static_cast<u16>(neighbour < centre)) & bit;
+// `bit` where the one pixel is darker than the other.
+KERNEL_INLINE u16 darker(u16 one, u16 other, u16 bit) {
+  return static_cast<u16>(-static_cast<u16>(one < other)) & bit;
 }
 
-// One census byte of a row from eight neighbours.
-KERNEL_FN void census_byte(const u16* __restrict n0, const u16* __restrict n1,
-                           const u16* __restrict n2, const u16* __restrict n3,
-                           const u16* __restrict n4, const u16* __restrict n5,
-                           const u16* __restrict n6, const u16* __restrict n7,
-                           const u16* __restrict centre, int count, u8* __restrict out) {
+// One census byte of a row from eight pairs of pixels.
+KERNEL_FN void census_byte(const u16* const a[8], const u16* const b[8], int count,
+                           u16* __restrict bits, u8* __restrict out) {
+  for (int k = 0; k < 8; k += 4) {
+    const u16* __restrict a0 = a[k];
+    const u16* __restrict a1 = a[k + 1];
+    const u16* __restrict a2 = a[k + 2];
+    const u16* __restrict a3 = a[k + 3];
+    const u16* __restrict b0 = b[k];
+    const u16* __restrict b1 = b[k + 1];
+    const u16* __restrict b2 = b[k + 2];
+    const u16* __restrict b3 = b[k + 3];
+    for (int x = 0; x < count; x += kLanes)
+      for (int i = x; i < x + kLanes; ++i)
+        bits[i] = static_cast<u16>((bits[i] >> 4) | darker(a0[i], b0[i], 16) |
+                                   darker(a1[i], b1[i], 32) | darker(a2[i], b2[i], 64) |
+                                   darker(a3[i], b3[i], 128));
+  }
   for (int x = 0; x < count; x += kLanes)
-    for (int i = x; i < x + kLanes; ++i) {
-      const u16 c = centre[i];
-      out[i] = static_cast<u8>(darker(n0[i], c, 1) | darker(n1[i], c, 2) | darker(n2[i], c, 4) |
-                               darker(n3[i], c, 8) | darker(n4[i], c, 16) | darker(n5[i], c, 32) |
-                               darker(n6[i], c, 64) | darker(n7[i], c, 128));
-    }
+    for (int i = x; i < x + kLanes; ++i) out[i] = static_cast<u8>(bits[i]);
 }
 
 // out = 1 2 1 of three rows, and in place 1 2 1 along a row of which the guards are filled.
@@ -92,25 +99,24 @@ KERNEL_FN void smooth(const Problem& p, View& view) {
   }
 }
 
-// The 5x5 census of a view; bit k is set where neighbour k is darker.
-KERNEL_FN void census_transform(const Problem& p, const View& view) {
+// The census of a view; bit k is set where the first pixel of pair k is darker than the second.
+KERNEL_FN void census_transform(const Problem& p, View& view) {
   const std::size_t plane = static_cast<std::size_t>(p.height) * p.plane_stride();
   const u16* image =
       (p.smoothing == 0 ? view.pixels : view.smooth[(p.smoothing - 1) % 2]).get() + kLanes;
+  u16* bits = view.scratch.get();
+  const std::ptrdiff_t stride = p.pixel_stride();
   for (int y = 0; y < p.height; ++y) {
-    const u16* rows[5];
-    for (int dv = -2; dv <= 2; ++dv)
-      rows[dv + 2] = image + static_cast<std::size_t>(clamp_row(y + dv, p.height)) * p.pixel_stride();
     u8* out = view.planes.get() + static_cast<std::size_t>(y) * p.plane_stride() + p.guard();
     for (int j = 0; j < 3; ++j) {
-      const u16* n[8];
+      const u16 *a[8], *b[8];
       for (int k = 0; k < 8; ++k) {
-        const int number = 8 * j + k;
-        const int place = number < 12 ? number : number + 1;  // the centre is no neighbour
-        n[k] = rows[place / 5] + place % 5 - 2;
+        const Pair& pair = p.pairs[8 * j + k];
+        a[k] = image + clamp_row(y + pair.dv_one, p.height) * stride + pair.du_one;
+        b[k] = image + clamp_row(y + pair.dv_other, p.height) * stride + pair.du_other;
       }
-      census_byte(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], rows[2], p.columns(),
-                  out + j * plane);
+      __builtin_memset(bits, 0, static_cast<std::size_t>(p.columns()) * sizeof(u16));
+      census_byte(a, b, p.columns(), bits, out + j * plane);
     }
   }
 }
@@ -406,7 +412,6 @@ KERNEL_FN void sum_row(const Problem& p, const View& left, const View& right, in
     l[j] = left.planes.get() + j * plane + place;
     r[j] = right.planes.get() + j * plane + place;
   }
-  const u8 paths = static_cast<u8>(p.paths());
   for (int d = 0; d < p.disparities; ++d) {
     u8* __restrict cost = s.cost.get();
     cost_row(p, l, r, d, cost);
@@ -416,7 +421,7 @@ KERNEL_FN void sum_row(const Problem& p, const View& left, const View& right, in
     i16* __restrict sum = s.sums.get() + static_cast<std::size_t>(d) * p.sum_stride();
     for (int x = 0; x < columns; x += kLanes)
       for (int i = x; i < x + kLanes; ++i)
-        sum[i] = static_cast<i16>(a[i] + b[i] + c[i] + static_cast<u8>(cost[i] * paths));
+        sum[i] = static_cast<i16>(a[i] + b[i] + c[i] + cost[i] * p.cost_weight);
     const int outside = d + p.offset < p.width ? d + p.offset : p.width;
     for (int x = 0; x < outside; ++x) sum[x] = kNoSum;
     for (int x = p.width; x < p.sum_stride(); ++x) sum[x] = kNoSum;

@@ -14,6 +14,7 @@ EIGHT = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]
 
 @dataclass
 class Settings:
+    census: str = "centre5x5"
     bits: int = 8
     smoothing: int = 1
     disparities: int = 16
@@ -29,6 +30,7 @@ class Settings:
     median: bool = False
     tolerance: float = 1.0
     outside_cost: int = 12
+    cost_weight: int = 8
 
 
 def smooth(image, s):
@@ -46,8 +48,8 @@ def smooth(image, s):
 
 def cost_volume(left, right, s):
     """`(height, width, disparities)` Hamming distances; `outside_cost` without a partner."""
-    bits_left = np.unpackbits(census_planes(smooth(left, s)), axis=0)
-    bits_right = np.unpackbits(census_planes(smooth(right, s)), axis=0)
+    bits_left = np.unpackbits(census_planes(smooth(left, s), s.census), axis=0)
+    bits_right = np.unpackbits(census_planes(smooth(right, s), s.census), axis=0)
     height, width = left.shape
     cost = np.full((height, width, s.disparities), s.outside_cost, dtype=np.int64)
     for d in range(s.disparities):
@@ -59,9 +61,9 @@ def cost_volume(left, right, s):
 
 
 def aggregate(cost, image, s):
-    """Sum of the path costs over all directions."""
+    """Sum of what the path costs of all directions exceed the cost by, and the weighted cost."""
     height, width, _ = cost.shape
-    total = np.zeros_like(cost)
+    total = s.cost_weight * cost
     for dv, du in EIGHT[: s.paths]:
         path = np.zeros_like(cost)
         for y in range(height)[:: -1 if dv < 0 else 1]:
@@ -78,7 +80,7 @@ def aggregate(cost, image, s):
                 above = np.concatenate([old[1:], far]) + s.p1
                 best = np.minimum(np.minimum(old, below), np.minimum(above, old.min() + p2))
                 path[y, x] = cost[y, x] + best - old.min()
-        total += path
+        total += path - cost
     return total
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tests.stereo.census_reference as reference
+from stereo.census import census_pairs
 
 kernel = pytest.importorskip("stereo.native.census_kernel")
 
@@ -32,6 +33,7 @@ def problems(draw):
     p1 = draw(st.integers(0, 40))
     p2_min = draw(st.integers(p1, 60))
     options = reference.Settings(
+        census=draw(st.sampled_from(["centre5x5", "symmetric7x7"])),
         bits=bits,
         smoothing=draw(st.integers(0, 2)),
         disparities=draw(st.sampled_from([1, 2, 16, 33, 64])),
@@ -47,6 +49,7 @@ def problems(draw):
         median=draw(st.booleans()),
         tolerance=draw(st.sampled_from([-1.0, 0.0, 0.5, 1.0])),
         outside_cost=draw(st.integers(0, 24)),
+        cost_weight=draw(st.sampled_from([1, 3, 8, 16])),
     )
     left = np.ascontiguousarray(scene[:, :width].astype(dtype))
     right = np.ascontiguousarray(scene[:, shift : shift + width].astype(dtype))
@@ -55,6 +58,7 @@ def problems(draw):
 
 def run(left, right, options, threads=1, instruction_set="auto"):
     fields = dataclasses.asdict(options)
+    fields["pairs"] = census_pairs(fields.pop("census"))
     matcher = kernel.CensusMatcher(**fields, threads=threads, instruction_set=instruction_set)
     return matcher.match(left, right)
 
