@@ -85,7 +85,7 @@ def world(name: str) -> dict[str, float]:
         config = SimulateConfig(camera=kitti_camera(), render=RenderConfig(workers=1))
         scenario = load_scenario(name)
         built = make_world(scenario, seed)
-        plan = make_plan(built, scenario, 1, seed, config)
+        plan = make_plan(built.route, scenario, 1, seed, config)
         studio = Studio(plan, built, 0)
         for number in np.linspace(5, len(plan.frame_stamps_s) - 5, PAIRS // len(SEEDS) + 1):
             views = studio.views(int(number))

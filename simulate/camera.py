@@ -63,7 +63,9 @@ def expose(
     rng: np.random.Generator,
 ) -> Image:
     """The picture `(height, width)`, uint8, or uint16 holding 12 bits."""
-    signal = irradiance * np.float32(gain * unit.gain)
+    opened = min(gain, config.largest_exposure)
+    amplified = gain / opened
+    signal = irradiance * np.float32(opened * unit.gain)
     signal *= unit.vignette
     if config.blur_px > 0:
         signal = np.asarray(cv2.GaussianBlur(signal, (0, 0), config.blur_px), dtype=np.float32)
@@ -71,7 +73,8 @@ def expose(
     noise = rng.standard_normal(signal.shape, dtype=np.float32)
     electrons = np.maximum(signal, 0.0) * np.float32(config.full_well_e)
     noise *= np.sqrt(electrons + np.float32(config.read_noise_e**2))
-    signal = (electrons + noise) / np.float32(config.full_well_e) + np.float32(unit.offset)
+    signal = (electrons + noise) * np.float32(amplified / config.full_well_e)
+    signal += np.float32(unit.offset)
     np.clip(signal, 0.0, 1.0, out=signal)
     if config.tone_exponent != 1.0:
         cv2.pow(signal, config.tone_exponent, dst=signal)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from simulate.faults import Fault
 from stereo.rig import Mounting, StereoRig
 
 Positive = Annotated[float, Field(gt=0)]
@@ -21,7 +22,8 @@ class _Section(BaseModel):
 class CameraConfig(_Section):
     """The stereo camera; the default is the source paper's, `kitti` in `presets` the other one.
 
-    Image noise is given in electrons: `full_well_e` at the white level sets the shot noise.
+    Image noise is given in electrons: `full_well_e` at the white level sets the shot noise. Light
+    that an exposure of `largest_exposure` cannot gather is made up by gain, noise included.
     """
 
     width_px: int = Field(default=768, ge=32, le=4096)
@@ -45,7 +47,7 @@ class CameraConfig(_Section):
     right_gain_sd: NotNegative = 0.06
     right_offset_sd: NotNegative = 0.006
     calibration_error_deg: NotNegative = 0.004
-    motion_blur_s: NotNegative = 0.0
+    largest_exposure: Positive = 6.0
 
     def rig(self) -> StereoRig:
         """The rig that the written drive claims to have."""
@@ -154,3 +156,5 @@ class SimulateConfig(_Section):
     gnss: GnssConfig = GnssConfig()
     reference: ReferenceConfig = ReferenceConfig()
     latency: LatencyConfig = LatencyConfig()
+    light: Literal["scenario", "dusk", "overcast"] = "scenario"
+    faults: tuple[Fault, ...] = ()

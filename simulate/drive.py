@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -9,29 +10,48 @@ from itertools import pairwise
 from multiprocessing import get_context
 from os import cpu_count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.drive import Lap
+from drivelog.atomic import atomic_folder
+from drivelog.drive import Lap, open_drive
 from drivelog.frames import EarthFrame
 from drivelog.samples import Image
-from drivelog.writers.folder import folder_writer
+from drivelog.writers.folder import FolderWriter, folder_writer, write_drive
 from simulate import sensors
 from simulate.camera import expose, exposure_of, make_units
 from simulate.config import SimulateConfig
-from simulate.driver import Motion, drive_route
+from simulate.driver import CAR, Motion, drive_route
+from simulate.faults import apply_faults
 from simulate.render import Renderer, RenderOptions, View, camera_poses, rotation_from_angles
+from simulate.route import Route, make_route
 from simulate.scenario import Scenario, load_scenario
 from simulate.traffic import make_traffic, moving_mesh
-from simulate.truth import write_truth
+from simulate.truth import (
+    TRUTH_FILES,
+    to_disparity_png,
+    to_owner_png,
+    write_truth,
+    write_truth_pictures,
+)
 from simulate.world import World, make_world
 
 Floats = NDArray[np.float64]
-WHEELBASE_M = 2.71
+_FEW = 24
 # body angles per acceleration: about 3 degrees of pitch and 4.5 of roll a g
 _PITCH_PER_MPS2, _ROLL_PER_MPS2 = 0.005, 0.008
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A pair, and for the truth: disparity of both views and object ids of the left, uint16."""
+
+    left: Image
+    right: Image
+    truth: tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +75,26 @@ class Plan:
 
 
 def make_plan(
-    world: World, scenario: Scenario, laps: int, seed: int, config: SimulateConfig
+    route: Route, scenario: Scenario, laps: int, seed: int, config: SimulateConfig
 ) -> Plan:
     """Drives the route and decides when pictures are taken."""
-    motion = drive_route(world.route, scenario.drive, laps, np.random.default_rng([seed, 20]))
+    motion = drive_route(route, scenario.drive, laps, np.random.default_rng([seed, 20]))
     rng = np.random.default_rng([seed, 21])
     stamps, arrivals = sensors.frame_times(motion, config.camera.frame_rate_hz, config.latency, rng)
     bumps = sensors.gauss_markov(stamps, 0.0022, 0.3, rng, 2)
     bumps *= np.minimum(motion.value("speed_mps", stamps) / 5.0, 1.0)[:, None]
     wander = sensors.gauss_markov(stamps, config.camera.exposure_wander, 4.0, rng)[:, 0]
     return Plan(scenario, seed, config, laps, motion, stamps, arrivals, bumps, wander)
+
+
+def count_frames(
+    scenario: Scenario | str | Path, laps: int, seed: int, config: SimulateConfig
+) -> int:
+    """How many pairs `simulate_drive` will write; takes a moment only."""
+    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    spec = chosen.route
+    route = make_route(spec.corners_m, spec.corner_radius_m, spec.closed)
+    return len(make_plan(route, chosen, laps, seed, config).frame_stamps_s)
 
 
 class Studio:
@@ -107,17 +137,23 @@ class Studio:
         views = views or self.views(number)
         camera = self.plan.config.camera
         gain = exposure_of(views[0].irradiance, camera, float(self.plan.exposure_log[number]))
-        pair = [
+        left, right = (
             expose(
-                view.irradiance,
-                gain,
-                unit,
-                camera,
+                view.irradiance, gain, unit, camera,
                 np.random.default_rng([self.plan.seed, 40, number, side]),
             )
             for side, (view, unit) in enumerate(zip(views, self._units, strict=True))
-        ]
-        return pair[0], pair[1]
+        )  # fmt: skip
+        return left, right
+
+    def shot(self, number: int) -> Shot:
+        """The pair, with its truth where the settings ask for it."""
+        views = self.views(number)
+        left, right = self.picture(number, views)
+        if not self.plan.config.render.truth_images:
+            return Shot(left, right)
+        disparity = [to_disparity_png(self.renderer.true_disparity(view)) for view in views]
+        return Shot(left, right, (disparity[0], disparity[1], to_owner_png(views[0].owner)))
 
 
 _studio: Studio | None = None
@@ -127,23 +163,23 @@ def _open_studio(scenario: Scenario, laps: int, seed: int, config: SimulateConfi
     global _studio
     cv2.setNumThreads(1)
     world = make_world(scenario, seed)
-    _studio = Studio(make_plan(world, scenario, laps, seed, config), world, 1)
+    _studio = Studio(make_plan(world.route, scenario, laps, seed, config), world, 1)
 
 
-def _take(number: int) -> tuple[Image, Image]:
+def _take(number: int) -> Shot:
     if _studio is None:
         raise RuntimeError("the worker was not opened")
-    return _studio.picture(number)
+    return _studio.shot(number)
 
 
-def pictures(plan: Plan, world: World) -> Iterator[tuple[Image, Image]]:
+def shots(plan: Plan, world: World) -> Iterator[Shot]:
     """All pairs of a plan in order, rendered by as many processes as the settings say."""
     count = len(plan.frame_stamps_s)
     workers = plan.config.render.workers or min(cpu_count() or 1, 8)
-    if workers == 1 or count < 24:
+    if workers == 1 or count < _FEW:
         studio = Studio(plan, world, 1 if workers == 1 else 0)
         for number in range(count):
-            yield studio.picture(number)
+            yield studio.shot(number)
         return
     job = (plan.scenario, plan.laps, plan.seed, plan.config)
     with ProcessPoolExecutor(workers, get_context("spawn"), _open_studio, job) as pool:
@@ -160,7 +196,6 @@ def simulate_drive(
     objects: bool = False,
     images: bool = True,
     advance: Callable[[int], None] | None = None,
-    limit: Callable[[int], None] | None = None,
 ) -> Path:
     """Writes a simulated drive as a plain drive folder.
 
@@ -168,50 +203,71 @@ def simulate_drive(
         scenario: a loaded scenario, the name of a world or a YAML file.
         out: the folder that appears.
         laps: rounds of a closed route.
-        objects: also write the true poles (`objects.geojson`) and the true motion (`truth.csv`).
+        objects: also write the true poles (`objects.geojson`), all standing things
+            (`standing.csv`), the true motion (`truth.csv`) and inertial signals (`signals.csv`).
         images: without them the drive has odometry, GNSS and reference only.
         advance: called with 1 after every stereo pair.
-        limit: called once with the number of pairs.
 
     Raises:
         InputError, ConfigError: what the scenario or the target folder lacks.
     """
     config = config or SimulateConfig()
     chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    world = make_world(chosen, seed)
-    plan = make_plan(world, chosen, laps, seed, config)
+    if config.faults:
+        return _faulty(chosen, Path(out), laps, seed, config, objects, images, advance)
+    world = make_world(chosen.lit(config.light), seed)
+    plan = make_plan(world.route, world.scenario, laps, seed, config)
     frame = EarthFrame("utm", epsg=chosen.epsg)
     antenna = np.array([config.gnss.antenna_x_m, config.gnss.antenna_y_m])
     notes = [f"simulated: world {chosen.name}, seed {seed}, {laps} laps"]
     with folder_writer(
-        Path(out),
-        name=f"{chosen.name}_{seed}",
-        frame=frame,
-        wheelbase_m=WHEELBASE_M,
-        rig=config.camera.rig() if images else None,
-        gnss_antenna_m=antenna,
-        notes=notes,
-    ) as writer:
+        Path(out), name=f"{chosen.name}_{seed}", frame=frame, wheelbase_m=CAR.wheelbase_m,
+        rig=config.camera.rig() if images else None, gnss_antenna_m=antenna, notes=notes,
+    ) as writer:  # fmt: skip
         if images:
-            if limit is not None:
-                limit(len(plan.frame_stamps_s))
-            for number, (left, right) in enumerate(pictures(plan, world)):
-                writer.frame(
-                    float(plan.frame_stamps_s[number]),
-                    float(plan.frame_arrivals_s[number]),
-                    left,
-                    right,
-                )
-                if advance is not None:
-                    advance(1)
+            _write_shots(writer, plan, world, advance)
         rng = np.random.default_rng([seed, 22])
         writer.odometry(sensors.odometry(plan.motion, config.odometry, rng))
         writer.gnss(sensors.gnss(plan.motion, plan.origin_m, config.gnss, rng))
         writer.reference(sensors.reference(plan.motion, plan.origin_m, config.reference, rng))
-        starts = plan.motion.lap_starts_s
         writer.laps(
-            Lap(f"lap_{k + 1}", float(a), float(b)) for k, (a, b) in enumerate(pairwise(starts))
+            Lap(f"lap_{k + 1}", float(a), float(b))
+            for k, (a, b) in enumerate(pairwise(plan.motion.lap_starts_s))
         )
         if objects:
             write_truth(writer.folder, frame, world, plan.motion, plan.origin_m)
     return Path(out)
+
+
+def _write_shots(
+    writer: FolderWriter, plan: Plan, world: World, advance: Callable[[int], None] | None
+) -> None:
+    for number, shot in enumerate(shots(plan, world)):
+        stamp, arrival = plan.frame_stamps_s[number], plan.frame_arrivals_s[number]
+        writer.frame(float(stamp), float(arrival), shot.left, shot.right)
+        if shot.truth is not None:
+            write_truth_pictures(writer.folder, number, *shot.truth)
+        if advance is not None:
+            advance(1)
+
+
+def _faulty(
+    scenario: Scenario, out: Path, laps: int, seed: int, config: SimulateConfig,
+    objects: bool, images: bool,
+    advance: Callable[[int], None] | None,
+) -> Path:  # fmt: skip
+    """The drive without faults in a temporary place, and from there with them to its own."""
+    sound = config.model_copy(update={"faults": ()})
+    with TemporaryDirectory() as place:
+        base = simulate_drive(
+            scenario, Path(place) / "sound", laps, seed, sound,
+            objects=objects, images=images, advance=advance,
+        )  # fmt: skip
+        broken = Path(place) / "broken"
+        write_drive(apply_faults(open_drive(base), config.faults, seed), broken)
+        for name in TRUTH_FILES:
+            if (base / name).exists():
+                shutil.copy(base / name, broken / name)
+        with atomic_folder(out) as folder:
+            shutil.copytree(broken, folder, dirs_exist_ok=True)
+    return out

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from drivelog.errors import ConfigError
+from simulate.dynamics import Car, follow
 from simulate.route import Route
 from simulate.scenario import DriveSpec
 
 Floats = NDArray[np.float64]
 STEP_S = 0.005
+CAR = Car()
 _GRID_M = 0.25
 
 
@@ -25,6 +27,7 @@ class Motion:
         stamp_s: from 0.
         pose: `(n, 3)` x, y, yaw (unwrapped) in the world's local metres.
         speed_mps, yaw_rate_radps, acceleration_mps2: along and about the rear axle.
+        sideslip_rad, steering_rad: at the centre of gravity, and of the front wheels.
         lateral_m: position left of the route's centre line.
         wander_m: what the driver strays from the lane's middle, left positive.
         station_m: along the route, growing over the laps.
@@ -36,6 +39,8 @@ class Motion:
     speed_mps: Floats
     yaw_rate_radps: Floats
     acceleration_mps2: Floats
+    sideslip_rad: Floats
+    steering_rad: Floats
     lateral_m: Floats
     wander_m: Floats
     station_m: Floats
@@ -50,9 +55,7 @@ class Motion:
         return np.asarray(np.interp(stamps_s, self.stamp_s, getattr(self, name)))
 
 
-def drive_route(
-    route: Route, spec: DriveSpec, laps: int, rng: np.random.Generator, dense: Floats | None = None
-) -> Motion:
+def drive_route(route: Route, spec: DriveSpec, laps: int, rng: np.random.Generator) -> Motion:
     """Drives `laps` laps of a closed route, or once along an open one.
 
     Raises:
@@ -69,29 +72,25 @@ def drive_route(
     speed = _speed(route, station, margin, stops, spec, rng)
     time, at = _schedule(station, speed, stops, spec)
     stamps = np.arange(0.0, time[-1], STEP_S)
-    travelled = gaussian_filter1d(np.interp(stamps, time, at), 0.15 / STEP_S, mode="nearest")
+    travelled = gaussian_filter1d(np.interp(stamps, time, at), 0.3 / STEP_S, mode="nearest")
     line = route.at(station + margin, lateral)[:, :2]
-    fine = np.stack([np.interp(travelled, station, line[:, k]) for k in (0, 1)], axis=1)
-    tangent = np.gradient(line, axis=0)
-    heading = gaussian_filter1d(
-        np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0])), 1.2 / _GRID_M, mode="nearest"
-    )
-    yaw = np.interp(travelled, station, heading)
-    stretch = np.hypot(tangent[:, 0], tangent[:, 1]) / _GRID_M
-    stretch[0], stretch[-1] = stretch[1], stretch[-2]
-    rate = np.gradient(travelled, STEP_S)
-    velocity = rate * np.interp(travelled, station, stretch)
+    ride = follow(line, _GRID_M, travelled, STEP_S, CAR)
+    middle = route.at(travelled + margin)
+    offset = ride.pose[:, :2] - middle[:, :2]
+    beside = -np.sin(middle[:, 2]) * offset[:, 0] + np.cos(middle[:, 2]) * offset[:, 1]
     starts = np.interp(np.arange(laps + 1) * route.length_m - 1e-6, at, time)
     # the standstill belongs to the lap that it opens
     first = [float(time[np.searchsorted(at, k * route.length_m - 1e-9)]) for k in range(laps)]
     return Motion(
         stamps,
-        np.column_stack([fine, yaw]),
-        velocity,
-        np.gradient(yaw, STEP_S),
-        np.gradient(velocity, STEP_S),
-        np.interp(travelled, station, lateral),
-        np.interp(travelled, station, wander),
+        ride.pose,
+        ride.speed_mps,
+        ride.yaw_rate_radps,
+        np.gradient(ride.speed_mps, STEP_S),
+        ride.sideslip_rad,
+        ride.steering_rad,
+        beside,
+        beside - spec.lane_offset_m,
         travelled + margin,
         np.array([*first, min(float(starts[-1]), float(stamps[-1]))]),
     )

@@ -12,7 +12,7 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from simulate.mesh import Mesh, box, cards, cylinder, join, panel, quads
+from simulate.mesh import Mesh, box, cylinder, join, panel, quads
 from simulate.textures import TILES
 
 
@@ -38,14 +38,14 @@ class Wish:
 Maker = Callable[[np.random.Generator, Wish], Standing]
 
 
-def _pick(
+def pick(
     rng: np.random.Generator, span: tuple[float, float] | None, usual: tuple[float, float]
 ) -> float:
     low, high = span or usual
     return float(rng.uniform(low, high))
 
 
-def _lean(rng: np.random.Generator, lean_rad: float) -> tuple[float, float]:
+def lean_slope(rng: np.random.Generator, lean_rad: float) -> tuple[float, float]:
     """Slope (dx, dy per metre of height) of an axis that leans up to `lean_rad` any way."""
     angle, turn = rng.uniform(0, lean_rad), rng.uniform(0, 2 * np.pi)
     return float(np.tan(angle) * cos(turn)), float(np.tan(angle) * sin(turn))
@@ -69,9 +69,9 @@ def _rod(
 
 def lamp(rng: np.random.Generator, wish: Wish) -> Standing:
     """A street lamp with an arm over the road, or a park lamp with a globe."""
-    height = _pick(rng, wish.height_m, (4.2, 8.0))
-    radius = _pick(rng, wish.radius_m, (0.055, 0.095))
-    slope = _lean(rng, max(wish.lean_rad, radians(1.0)))
+    height = pick(rng, wish.height_m, (4.2, 8.0))
+    radius = pick(rng, wish.radius_m, (0.055, 0.095))
+    slope = lean_slope(rng, max(wish.lean_rad, radians(1.0)))
     shade = float(rng.choice([0.45, 0.9, 1.5]))
     parts = [_rod(radius, height, "metal", shade, slope, 0.65)]
     parts.append(_rod(radius * 1.5, 0.9, "metal", shade * 0.9, slope))
@@ -92,9 +92,9 @@ def lamp(rng: np.random.Generator, wish: Wish) -> Standing:
 
 def sign(rng: np.random.Generator, wish: Wish) -> Standing:
     """A traffic sign: one or two plates on a grey tube."""
-    radius = _pick(rng, wish.radius_m, (0.03, 0.042))
-    height = _pick(rng, wish.height_m, (2.3, 3.1))
-    slope = _lean(rng, max(wish.lean_rad, radians(2.0)))
+    radius = pick(rng, wish.radius_m, (0.03, 0.042))
+    height = pick(rng, wish.height_m, (2.3, 3.1))
+    slope = lean_slope(rng, max(wish.lean_rad, radians(2.0)))
     parts = [_rod(radius, height, "metal", 1.2, slope, sides=10)]
     size = float(rng.uniform(0.42, 0.68))
     z = height
@@ -130,8 +130,8 @@ def _disc(x: float, y: float, z: float, radius_m: float, facing: float) -> Mesh:
 
 def traffic_light(rng: np.random.Generator, wish: Wish) -> Standing:
     """A signal on a mast, with a dark head."""
-    radius = _pick(rng, wish.radius_m, (0.06, 0.09))
-    height = _pick(rng, wish.height_m, (3.1, 3.6))
+    radius = pick(rng, wish.radius_m, (0.06, 0.09))
+    height = pick(rng, wish.height_m, (3.1, 3.6))
     parts = [_rod(radius, height, "metal", 1.1)]
     parts.append(box((-radius - 0.17, 0, height - 0.55), (0.30, 0.30, 0.95), TILES["paint"], 0.12))
     if rng.uniform() < 0.5:
@@ -142,10 +142,10 @@ def traffic_light(rng: np.random.Generator, wish: Wish) -> Standing:
 
 def bollard(rng: np.random.Generator, wish: Wish) -> Standing:
     """A bollard of stone, iron or plastic, about hip-high."""
-    height = _pick(rng, wish.height_m, (0.85, 1.15))
-    radius = _pick(rng, wish.radius_m, (0.05, 0.10))
+    height = pick(rng, wish.height_m, (0.85, 1.15))
+    radius = pick(rng, wish.radius_m, (0.05, 0.10))
     tile, shade = [("concrete", 0.9), ("metal", 0.3), ("paint", 1.6)][int(rng.integers(0, 3))]
-    parts = [_rod(radius, height, tile, shade, _lean(rng, radians(2)), 0.92)]
+    parts = [_rod(radius, height, tile, shade, lean_slope(rng, radians(2)), 0.92)]
     if shade > 1:
         band = cylinder(
             (0, 0, 0.6), (0, 0, 0.75), radius + 0.004, radius + 0.004, TILES["paint"], 0.3
@@ -156,98 +156,15 @@ def bollard(rng: np.random.Generator, wish: Wish) -> Standing:
 
 def thin_post(rng: np.random.Generator, wish: Wish) -> Standing:
     """A bare post of about 6 cm: a marker, a gas sign, a forgotten stake."""
-    height = _pick(rng, wish.height_m, (1.3, 2.2))
-    radius = _pick(rng, wish.radius_m, (0.028, 0.034))
+    height = pick(rng, wish.height_m, (1.3, 2.2))
+    radius = pick(rng, wish.radius_m, (0.028, 0.034))
     tile, shade = [("metal", 1.0), ("planks", 0.9), ("paint", 1.5)][int(rng.integers(0, 3))]
     parts = [
-        _rod(radius, height, tile, shade, _lean(rng, max(wish.lean_rad, radians(3))), sides=10)
+        _rod(radius, height, tile, shade, lean_slope(rng, max(wish.lean_rad, radians(3))), sides=10)
     ]
     if rng.uniform() < 0.4:
         parts.append(box((0, 0, height), (0.18, 0.03, 0.14), TILES["sign"]))
     return Standing(join(parts), True, 2 * radius, height)
-
-
-def _crown(
-    rng: np.random.Generator, centre: tuple[float, float, float], radius_m: float, leaves: int
-) -> Mesh:
-    """Leaves in the shells of several clumps, as a crown seen from below."""
-    clumps = int(rng.integers(6, 11))
-    middle = rng.normal(0, 0.45, (clumps, 3)) * radius_m * (1, 1, 0.75) + centre
-    size = rng.uniform(0.35, 0.62, clumps) * radius_m
-    which = rng.integers(0, clumps, leaves)
-    direction = rng.normal(size=(leaves, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    depth = rng.uniform(0.5, 1.0, (leaves, 1)) ** 0.5
-    centres = middle[which] + direction * depth * size[which][:, None]
-    return cards(centres, 0.04 * radius_m + 0.12, TILES["leaves"], 1.0, 1.6, rng)
-
-
-def tree(rng: np.random.Generator, wish: Wish) -> Standing:
-    """A street tree: leaning, tapered trunk, some branches, a crown of loose leaves."""
-    radius = _pick(rng, wish.radius_m, (0.07, 0.19))
-    bare = _pick(rng, wish.height_m, (2.0, 3.0))
-    slope = _lean(rng, wish.lean_rad)
-    tile = "birch" if rng.uniform() < 0.2 else "bark"
-    shade = float(rng.uniform(0.7, 1.5))
-    top = (slope[0] * bare, slope[1] * bare, bare)
-    parts = [cylinder((0, 0, -0.1), top, radius, radius * 0.8, TILES[tile], shade, 1.4, 16, False)]
-    parts.append(
-        cylinder((0, 0, -0.1), (0, 0, 0.25), radius * 1.35, radius, TILES[tile], shade, 1.4, 16)
-    )
-    spread = float(rng.uniform(1.3, 2.4))
-    for k in range(int(rng.integers(4, 7))):
-        turn = k * 2.4 + rng.uniform(-0.5, 0.5)
-        out = spread * rng.uniform(0.5, 0.9)
-        tip = (top[0] + out * cos(turn), top[1] + out * sin(turn), bare + rng.uniform(0.8, 2.2))
-        thick = radius * rng.uniform(0.35, 0.55)
-        parts.append(cylinder(top, tip, thick, 0.02, TILES[tile], shade, 1.4, 8, False))
-    crown = (top[0], top[1], bare + 0.85 * spread + 0.3)
-    parts.append(_crown(rng, crown, spread, int(650 * spread**2 + 700)))
-    return Standing(join(parts), True, 2 * radius, bare + 2 * spread)
-
-
-def young_tree(rng: np.random.Generator, wish: Wish) -> Standing:
-    """A sapling held by a stake; both are thin."""
-    thin = Wish(wish.lean_rad, wish.height_m or (1.8, 2.4), wish.radius_m or (0.03, 0.05))
-    sapling = tree(rng, thin)
-    stake = cylinder((0.25, 0, 0), (0.22, 0, 1.6), 0.03, 0.03, TILES["planks"], 1.1, sides=8)
-    return Standing(join([sapling.mesh, stake]), True, sapling.width_m, sapling.height_m)
-
-
-def park_tree(rng: np.random.Generator, wish: Wish) -> Standing:
-    """A large tree further from the road, with a wide crown."""
-    big = Wish(wish.lean_rad, wish.height_m or (2.6, 3.6), wish.radius_m or (0.16, 0.30))
-    base = tree(rng, big)
-    more = _crown(rng, (0, 0, 5.6), float(rng.uniform(2.6, 3.6)), 5000)
-    return Standing(join([base.mesh, more]), True, base.width_m, 9.0)
-
-
-def bush(rng: np.random.Generator, wish: Wish) -> Standing:
-    """A bush: leaves down to the ground."""
-    size = float(rng.uniform(0.6, 1.3))
-    leaves = int(1500 * size**2)
-    direction = rng.normal(size=(leaves, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    direction[:, 2] = np.abs(direction[:, 2])
-    shell = direction * rng.uniform(0.6, 1.0, (leaves, 1)) * (size, size, 1.1 * size)
-    inner = cylinder(
-        (0, 0, 0), (0, 0, 0.8 * size), 0.75 * size, 0.4 * size, TILES["foliage"], 0.7, 0.5
-    )
-    leaf = cards(shell, 0.15, TILES["leaves"], 1.0, 1.3, rng)
-    return Standing(join([inner, leaf]), False, 2 * size, 1.1 * size)
-
-
-def hedge(rng: np.random.Generator, wish: Wish) -> Standing:
-    """Eight metres of clipped hedge."""
-    height = float(rng.uniform(1.0, 1.7))
-    core = box((0, 0, height / 2), (8.0, 0.55, height), TILES["leaves"], 0.85, 1.0)
-    n = 1800
-    face = np.stack(
-        [rng.uniform(-4, 4, n), rng.choice([-0.3, 0.3], n), rng.uniform(0, height, n)], axis=1
-    )
-    top = np.stack([rng.uniform(-4, 4, 200), rng.uniform(-0.3, 0.3, 200), np.full(200, height)], 1)
-    leaf = cards(np.concatenate([face, top]), 0.10, TILES["leaves"], 1.1, 1.5, rng)
-    return Standing(join([core, leaf]), False, 8.0, height)
 
 
 def fence(rng: np.random.Generator, wish: Wish) -> Standing:
@@ -348,11 +265,6 @@ MAKERS: dict[str, Maker] = {
     "traffic_light": traffic_light,
     "bollard": bollard,
     "thin_post": thin_post,
-    "tree": tree,
-    "young_tree": young_tree,
-    "park_tree": park_tree,
-    "bush": bush,
-    "hedge": hedge,
     "fence": fence,
     "advertising_column": advertising_column,
     "cabinet": cabinet,

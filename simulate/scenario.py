@@ -153,6 +153,15 @@ class Scenario(_Part):
     drive: DriveSpec = Field(default_factory=DriveSpec)
     backdrop: bool = True
 
+    def lit(self, light: str) -> Scenario:
+        """The same world at dusk or under clouds."""
+        known: dict[str, dict[str, object]] = {
+            "dusk": {"sun": 0.0, "sky": 0.018, "dusk": True},
+            "overcast": {"sun": 0.05, "sky": 0.42, "clouds": 0.9},
+        }
+        changed = self.light.model_copy(update=known.get(light, {}))
+        return self.model_copy(update={"light": changed})
+
 
 def scenario_names() -> list[str]:
     """Names of the worlds that come with the package."""

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivelog.errors import InputError
 from drivelog.frames import EarthFrame
 from polemap.io import write_map
 from polemap.landmark_map import PoleMap
 from simulate.driver import Motion
+from simulate.traffic import MOVER_ID
 from simulate.world import World
 from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
+TRUTH_FILES = ("objects.geojson", "standing.csv", "truth.csv", "signals.csv")
 # the truth has no spread; a map needs one that can be inverted
 _TRUTH_SD_M = 0.001
 _EVERY = 4
+# a car's inertial sensors deliver at 100 Hz
+_SIGNAL_EVERY = 2
 
 
 def true_map(world: World, frame: EarthFrame, origin_m: Floats) -> PoleMap:
@@ -65,5 +71,46 @@ def write_truth(
             motion.wander_m[rows],
         ]
     )
+    write_signals(folder, motion)
     header = "stamp_s,east_m,north_m,yaw_rad,speed_mps,yaw_rate_radps,station_m,lateral_m,wander_m"
     np.savetxt(folder / "truth.csv", table, fmt="%.6f", delimiter=",", header=header, comments="")
+
+
+def write_signals(folder: Path, motion: Motion) -> None:
+    """Writes signals.csv: steering, accelerations, true side-slip; `polemap estimate` reads it."""
+    rows = slice(None, None, _SIGNAL_EVERY)
+    swing = motion.speed_mps * motion.yaw_rate_radps
+    table = np.column_stack(
+        [
+            motion.stamp_s, motion.steering_rad, motion.yaw_rate_radps, motion.acceleration_mps2,
+            swing, motion.speed_mps, motion.sideslip_rad,
+        ]
+    )[rows]  # fmt: skip
+    header = "stamp_s,road_wheel_angle_rad,yaw_rate_radps,ax_mps2,ay_mps2,vx_mps,sideslip_rad"
+    np.savetxt(folder / "signals.csv", table, fmt="%.7f", delimiter=",", header=header, comments="")
+
+
+def to_disparity_png(disparity_px: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Disparity x 256, 0 where there is none: the KITTI convention."""
+    scaled = np.nan_to_num(disparity_px, posinf=0.0) * np.float32(256)
+    return np.asarray(np.clip(np.rint(scaled), 0, 65535), dtype=np.uint16)
+
+
+def to_owner_png(owner: NDArray[np.int32]) -> NDArray[np.uint16]:
+    """Object ids of standing.csv; 0 ground and houses, from 60000 movers, 65535 sky."""
+    moved = np.where(owner >= MOVER_ID, owner - MOVER_ID + 60_000, owner)
+    return np.asarray(np.where(moved < 0, 65535, moved), dtype=np.uint16)
+
+
+def write_truth_pictures(
+    folder: Path, number: int, left: NDArray[np.uint16], right: NDArray[np.uint16],
+    owner: NDArray[np.uint16],
+) -> None:  # fmt: skip
+    """Writes truth/disparity_left, truth/disparity_right and truth/objects beside a frame."""
+    for name, image in (("disparity_left", left), ("disparity_right", right), ("objects", owner)):
+        target = folder / "truth" / name
+        target.mkdir(parents=True, exist_ok=True)
+        done, data = cv2.imencode(".png", image)
+        if not done:
+            raise InputError(f"{target}: picture {number} cannot be encoded")
+        (target / f"{number:06d}.png").write_bytes(data.tobytes())

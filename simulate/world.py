@@ -14,10 +14,11 @@ from simulate.mesh import Mesh, join
 from simulate.objects import MAKERS, Maker, Wish
 from simulate.route import CrossSection, Route, make_route
 from simulate.scenario import HousesSpec, RowSpec, Scenario
+from simulate.vegetation import PLANTS
 from simulate.vehicles import PARKED
 
 Floats = NDArray[np.float64]
-KINDS: dict[str, Maker] = {**MAKERS, **PARKED}
+KINDS: dict[str, Maker] = {**MAKERS, **PLANTS, **PARKED}
 
 
 @dataclass(frozen=True, slots=True)

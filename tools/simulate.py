@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from simulate.drive import simulate_drive
+from drivelog.errors import ConfigError
+from simulate.drive import count_frames, simulate_drive
 from simulate.scenario import scenario_names
 from tools.progress import progress
 from tools.settings import ConfigOption, SeedOption, SetOption, load_settings
@@ -32,6 +33,9 @@ def command(
       polemap simulate park_loop --out drive --laps 3 --objects
       polemap simulate avenue --out avenue --seed 7 --set simulate.camera.frame_rate_hz=22
       polemap simulate my_street.yaml --out drive --no-images
+      polemap simulate suburb --out dusk --set simulate.light=dusk --set simulate.camera.bits=12
+      polemap simulate suburb --out blurred \\
+        --set 'simulate.faults=[{kind: blurred_frames, from_s: 5, until_s: 9}]'
       polemap simulate --list
 
     The same scenario, seed and settings give the same bytes. docs/simulator.md explains worlds,
@@ -41,9 +45,10 @@ def command(
         typer.echo("\n".join(scenario_names()))
         return
     if not scenario or out is None:
-        raise typer.BadParameter("SCENARIO and --out are needed; --list names the worlds")
+        raise ConfigError("simulate: SCENARIO and --out are needed; --list names the worlds")
     settings = load_settings(config, set_values)
-    with progress(None, f"simulating {scenario}") as advance:
+    frames = count_frames(scenario, laps, seed, settings.simulate) if images else 0
+    with progress(frames, f"simulating {scenario}") as advance:
         simulate_drive(
             scenario,
             out,
