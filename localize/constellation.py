@@ -28,6 +28,7 @@ _MERGE_M = 0.8
 _FORGET_M = 45.0
 _FORGET_S = 20.0
 _MOST_POLES = 40
+_PUSH_INTERVAL_S = 0.15  # a tenth of the scans of a camera holds the same poles
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +54,13 @@ class PoleMemory:
         self._seen = np.empty(0, dtype=np.int64)
         self._last_m = np.empty(0)
         self._last_s = np.empty(0)
+        self._pushed_s = -np.inf
 
     def push(self, scan: PoleScan, reckoned: Floats, travelled_m: float) -> None:
         """Add a scan taken at the dead-reckoned rear-axle pose `(3,)`."""
+        if scan.stamp_s - self._pushed_s < _PUSH_INTERVAL_S:
+            return
+        self._pushed_s = scan.stamp_s
         keep = (self._last_m > travelled_m - _FORGET_M) & (self._last_s > scan.stamp_s - _FORGET_S)
         self._take(keep)
         c, s = np.cos(reckoned[2]), np.sin(reckoned[2])

@@ -24,17 +24,6 @@ Floats = NDArray[np.float64]
 _CELL_M = 20.0
 
 
-def pole_model(config: LocalizeConfig) -> PoleModel:
-    """The part of the settings that the association needs."""
-    return PoleModel(
-        beta_p=config.beta_p,
-        width_sd_m=config.width_sd_m,
-        clutter_per_m2=config.clutter_per_m2,
-        clutter_width_span_m=config.clutter_width_span_m,
-        position_floor_m=config.position_floor_m,
-    )
-
-
 def default_view(config: LocalizeConfig) -> VisibleRegion:
     """The sector that is taken for a sensor that does not say where it looked."""
     return VisibleRegion(
@@ -54,40 +43,6 @@ def reach_of(scan: PoleScan, view: VisibleRegion) -> float:
     return reach + 3.0
 
 
-def landmarks_near(
-    pole_map: PoleMap, rear_poses: Floats, reach_m: float, p_detection: float
-) -> Landmarks:
-    """Map poles within reach of any particle; a scattered cloud asks cell by cell."""
-    low, high = rear_poses[:, :2].min(axis=0), rear_poses[:, :2].max(axis=0)
-    half = float(np.hypot(*(high - low))) / 2
-    if half <= _CELL_M:
-        rows = pole_map.within((low + high) / 2, reach_m + half)
-    else:
-        cells = np.unique(np.floor(rear_poses[:, :2] / _CELL_M).astype(np.int64), axis=0)
-        centres = (cells + 0.5) * _CELL_M
-        found = [pole_map.within(centre, reach_m + 0.75 * _CELL_M) for centre in centres]
-        rows = np.unique(np.concatenate(found))
-    return Landmarks.of(pole_map, rows, p_detection)
-
-
-def weigh_scan(
-    rear_poses: Floats,
-    scan: PoleScan,
-    pole_map: PoleMap,
-    config: LocalizeConfig,
-) -> PoseLikelihoods:
-    """Likelihood of the scan for every rear-axle pose `(n, 3)`.
-
-    Source: Spangenberg (2016), equations (7) and (8).
-    """
-    view = scan.view if scan.view is not None else default_view(config)
-    landmarks = landmarks_near(pole_map, rear_poses, reach_of(scan, view), config.p_detection)
-    model = pole_model(config)
-    return pole_log_likelihood(
-        rear_poses, scan, landmarks, model, view=view, threads=config.threads
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class Match:
     """What one pose makes of a scan: matched poles, map poles in view, detections hoped for."""
@@ -97,15 +52,60 @@ class Match:
     expected: float
 
 
-def match_at(pose: Floats, scan: PoleScan, pole_map: PoleMap, config: LocalizeConfig) -> Match:
-    """Match a scan from a single rear-axle pose `(3,)`."""
-    view = scan.view if scan.view is not None else default_view(config)
-    rows = pole_map.within(pose[:2], reach_of(scan, view))
-    landmarks = Landmarks.of(pole_map, rows, config.p_detection)
-    result = pole_log_likelihood(pose[np.newaxis], scan, landmarks, pole_model(config), view=view)
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    local = (landmarks.points_m - pose[:2]) @ np.array([[c, -s], [s, c]])
-    return Match(int(result.matched[0]), int(view.contains(local).sum()), float(result.expected[0]))
+class PoleWeigher:
+    """Holds scans against a map: the map's arrays, the settings, and nothing that changes."""
+
+    def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
+        self._map = pole_map
+        self._all = Landmarks.of(pole_map, config.p_detection)
+        self._model = PoleModel(
+            beta_p=config.beta_p,
+            width_sd_m=config.width_sd_m,
+            clutter_per_m2=config.clutter_per_m2,
+            clutter_width_span_m=config.clutter_width_span_m,
+            position_floor_m=config.position_floor_m,
+        )
+        self._view = default_view(config)
+        self._threads = config.threads
+
+    def near(self, rear_poses: Floats, scan: PoleScan) -> Landmarks:
+        """Map poles within reach of any of the poses `(n, 3)`; a scattered cloud asks by cells."""
+        reach = reach_of(scan, self._view_of(scan))
+        low, high = rear_poses[:, :2].min(axis=0), rear_poses[:, :2].max(axis=0)
+        half = float(np.hypot(*(high - low))) / 2
+        if half <= _CELL_M:
+            return self._all.take(self._map.within((low + high) / 2, reach + half))
+        cells = np.unique(np.floor(rear_poses[:, :2] / _CELL_M).astype(np.int64), axis=0)
+        centres = (cells + 0.5) * _CELL_M
+        found = [self._map.within(centre, reach + 0.75 * _CELL_M) for centre in centres]
+        return self._all.take(np.unique(np.concatenate(found)))
+
+    def weigh(
+        self, rear_poses: Floats, scan: PoleScan, landmarks: Landmarks | None = None
+    ) -> PoseLikelihoods:
+        """Likelihood of the scan for every rear-axle pose `(n, 3)`.
+
+        Source: Spangenberg (2016), equations (7) and (8).
+        """
+        return pole_log_likelihood(
+            rear_poses,
+            scan,
+            self.near(rear_poses, scan) if landmarks is None else landmarks,
+            self._model,
+            view=self._view_of(scan),
+            threads=self._threads,
+        )
+
+    def match(self, pose: Floats, scan: PoleScan, landmarks: Landmarks) -> Match:
+        """Match a scan from a single rear-axle pose `(3,)`."""
+        result = self.weigh(pose[np.newaxis], scan, landmarks)
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        local = (landmarks.points_m - pose[:2]) @ np.array([[c, -s], [s, c]])
+        in_view = int(self._view_of(scan).contains(local).sum())
+        return Match(int(result.matched[0]), in_view, float(result.expected[0]))
+
+    def _view_of(self, scan: PoleScan) -> VisibleRegion:
+        return scan.view if scan.view is not None else self._view
 
 
 def independent_share(moved_m: float, elapsed_s: float, config: LocalizeConfig) -> float:

@@ -15,12 +15,11 @@ from localize.config import LocalizeConfig
 from localize.exploration import LikelihoodAverages, normalized_quality
 from localize.health import HealthRecord, LostDetector
 from localize.likelihood import (
+    PoleWeigher,
     antenna_at,
     gnss_log_likelihood,
     independent_share,
-    match_at,
     tempered,
-    weigh_scan,
 )
 from localize.motion_noise import sample_motion
 from localize.odometry_history import OdometryHistory
@@ -34,6 +33,7 @@ from localize.particles import (
 )
 from localize.relocation import Relocation
 from localize.resampling import low_variance_indices, particles_needed
+from polemap.association import Landmarks
 from polemap.landmark_map import PoleMap
 from vehicle.pose import shift_forward, wrap_angle
 
@@ -86,7 +86,8 @@ class ParticleFilter:
         wheelbase_m: float,
         rng: np.random.Generator,
     ) -> None:
-        self._map = pole_map
+        self._weigher = PoleWeigher(pole_map, config)
+        self._landmarks = Landmarks.of(pole_map, config.p_detection)
         self._config = config
         self._wheelbase_m = wheelbase_m
         self._rng = rng
@@ -223,7 +224,9 @@ class ParticleFilter:
 
     def _weigh_scan(self, scan: PoleScan, share: float) -> None:
         config = self._config
-        result = weigh_scan(self._rear(), scan, self._map, config)
+        rear = self._rear()
+        self._landmarks = self._weigher.near(rear, scan)
+        result = self._weigher.weigh(rear, scan, self._landmarks)
         before, _ = normalized(self._log_weights)
         self._log_weights, self._used_share = tempered(
             self._log_weights,
@@ -260,7 +263,7 @@ class ParticleFilter:
         if len(drawn) == 0:
             return None
         # newcomers have passed no scan yet: they count by how they stand this one beside the others
-        result = weigh_scan(drawn, scan, self._map, self._config)
+        result = self._weigher.weigh(drawn, scan)
         self._mix_in(drawn, np.minimum(result.log_likelihood - self._scan_evidence, 0.0))
         self.counts["exploration_events"] += 1
         return "explored"
@@ -286,7 +289,7 @@ class ParticleFilter:
         pose, spread = mean, covariance
         if config.estimate == "best_mode" and len(modes) > 1:
             pose, spread = modes[0].mean, modes[0].covariance
-        fit = match_at(pose, scan, self._map, config)
+        fit = self._weigher.match(pose, scan, self._landmarks)
         self._lost.update(
             scan.stamp_s,
             fit.matched,

@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <limits>
 #include <stdexcept>
 #include <string>
@@ -282,11 +283,11 @@ py::tuple assign_batch(const Doubles& costs, const Doubles& unassigned) {
   return py::make_tuple(totals, matches);
 }
 
-// arctan of t in [0, 1], odd polynomial around the two halves; |error| < 1e-10, no branches left
+// arctan of t in [0, 1]: an odd polynomial around either half; |error| < 1e-10
 inline double small_arctan(double t) {
   constexpr double tan_eighth = 0.41421356237309503;
   const bool upper = t > tan_eighth;
-  const double x = upper ? (t - 1.0) / (t + 1.0) : t;
+  const double x = (upper ? t - 1.0 : t) / (upper ? t + 1.0 : 1.0);
   const double q = x * x;
   double p = -1.0 / 23;
   p = p * q + 1.0 / 21;
@@ -308,11 +309,37 @@ inline double fast_atan2(double y, double x) {
   const double ay = std::fabs(y);
   const double largest = ax > ay ? ax : ay;
   const double smallest = ax > ay ? ay : ax;
-  const double t = largest > 0.0 ? smallest / largest : 0.0;
+  const double t = smallest / (largest + 1e-300);
   double angle = small_arctan(t);
   angle = ay > ax ? kPi / 2 - angle : angle;
   angle = x < 0.0 ? kPi - angle : angle;
   return y < 0.0 ? -angle : angle;
+}
+
+// Natural logarithm of a positive, normal number; |error| < 1e-14. The loop over it vectorises,
+// which one over std::log does not.
+inline double fast_log(double value) {
+  std::int64_t bits;
+  std::memcpy(&bits, &value, sizeof bits);
+  // halves of the exponent range meet at sqrt(1/2), so that the mantissa stays around 1
+  const std::int64_t shift = (bits - 0x3fe6a09e667f3bcdLL) >> 52;
+  bits -= shift << 52;
+  double mantissa;
+  std::memcpy(&mantissa, &bits, sizeof mantissa);
+  const double r = (mantissa - 1.0) / (mantissa + 1.0);
+  const double q = r * r;
+  double p = 1.0 / 19;
+  p = p * q + 1.0 / 17;
+  p = p * q + 1.0 / 15;
+  p = p * q + 1.0 / 13;
+  p = p * q + 1.0 / 11;
+  p = p * q + 1.0 / 9;
+  p = p * q + 1.0 / 7;
+  p = p * q + 1.0 / 5;
+  p = p * q + 1.0 / 3;
+  p = p * q + 1.0;
+  return static_cast<double>(static_cast<std::int32_t>(shift)) * 0.69314718055994530942 +
+         2.0 * r * p;
 }
 
 struct View {
@@ -321,167 +348,240 @@ struct View {
   int bins;
 };
 
-// Range and bearing of every landmark from the sensor of one pose.
+// Particles are weighed in blocks: neighbours see nearly the same, so they share the gating, and
+// every loop runs over the block, where the compiler vectorises it.
+constexpr int kBlock = 64;
+using Lane = double[kBlock];
+
+struct Block {
+  Lane east, north, cosine, sine;
+};
+
+// Squared range and bearing of one landmark from the sensor of every pose of a block.
 MULTIVERSION
-void bearings(int landmarks, const double* map_x, const double* map_y, double sensor_x,
-              double sensor_y, double cosine, double sine, double* range, double* bearing) {
-  for (int l = 0; l < landmarks; ++l) {
-    const double dx = map_x[l] - sensor_x;
-    const double dy = map_y[l] - sensor_y;
-    const double x = cosine * dx + sine * dy;
-    const double y = cosine * dy - sine * dx;
-    range[l] = std::sqrt(x * x + y * y);
-    bearing[l] = fast_atan2(y, x);
+void sight_block(const Block& block, double map_x, double map_y, double origin_x, double origin_y,
+                 double* range2, double* bearing) {
+  for (int b = 0; b < kBlock; ++b) {
+    const double dx = map_x - block.east[b];
+    const double dy = map_y - block.north[b];
+    const double x = block.cosine[b] * dx + block.sine[b] * dy - origin_x;
+    const double y = block.cosine[b] * dy - block.sine[b] * dx - origin_y;
+    range2[b] = x * x + y * y;
+    bearing[b] = fast_atan2(y, x);
   }
 }
 
-// Marks the pairs that stand near enough to be worth a look; rows are padded to `stride` bytes.
+// Where one seen pole stands in the map, from every pose of a block.
 MULTIVERSION
-void coarse_gate(int poles, int landmarks, int stride, const double* pole_x, const double* pole_y,
-                 const double* radius2, const double* map_x, const double* map_y,
-                 std::uint8_t* mask) {
-  for (int z = 0; z < poles; ++z) {
-    const double x = pole_x[z];
-    const double y = pole_y[z];
-    const double limit = radius2[z];
-    std::uint8_t* row = mask + static_cast<std::size_t>(z) * stride;
-    for (int l = 0; l < landmarks; ++l) {
-      const double dx = map_x[l] - x;
-      const double dy = map_y[l] - y;
-      row[l] = dx * dx + dy * dy <= limit ? 1 : 0;
-    }
+void place_block(const Block& block, double x, double y, double* map_x, double* map_y) {
+  for (int b = 0; b < kBlock; ++b) {
+    map_x[b] = block.east[b] + block.cosine[b] * x - block.sine[b] * y;
+    map_y[b] = block.north[b] + block.sine[b] * x + block.cosine[b] * y;
+  }
+}
+
+struct Pair {
+  double pole_xx, pole_yy, pole_xy;  // covariance of the seen pole, vehicle axes
+  double map_ee, map_nn, map_en;     // covariance of the landmark
+  double map_x, map_y;
+  double beta_p;
+  double width_fit;   // -d_w^2 / (2 sigma_w^2), 0 where a width is unknown
+  double constant;    // everything of the gain that does not depend on the pose
+};
+
+// Gain over "no match" (but for the price of a miss) and fit of one pair, for a block of poses.
+MULTIVERSION
+void pair_block(const Block& block, const Pair& pair, const double* pole_x, const double* pole_y,
+                double* gain, double* fit) {
+  for (int b = 0; b < kBlock; ++b) {
+    const double c = block.cosine[b], s = block.sine[b];
+    const double cc = c * c, ss = s * s, cs = c * s;
+    const double ee = cc * pair.pole_xx - 2.0 * cs * pair.pole_xy + ss * pair.pole_yy + pair.map_ee;
+    const double nn = ss * pair.pole_xx + 2.0 * cs * pair.pole_xy + cc * pair.pole_yy + pair.map_nn;
+    const double en = cs * (pair.pole_xx - pair.pole_yy) + (cc - ss) * pair.pole_xy + pair.map_en;
+    const double determinant = ee * nn - en * en;
+    const double dx = pair.map_x - pole_x[b], dy = pair.map_y - pole_y[b];
+    const double mahalanobis2 = (nn * dx * dx - 2.0 * en * dx * dy + ee * dy * dy) / determinant;
+    fit[b] = pair.width_fit - 0.5 * pair.beta_p * mahalanobis2;
+    gain[b] = pair.constant - 0.5 * fast_log(determinant) + fit[b];
   }
 }
 
 struct Problem {
   int poles, landmarks;
-  const double *points, *covariance, *pole_width, *pole_log_gain;             // of the scan
-  const double *map_points, *map_covariance, *map_width, *detection;          // of the map
+  const double *points, *covariance, *pole_width, *pole_log_gain;  // of the scan
+  const double *map_points, *map_covariance, *map_width, *detection;  // of the map
   double beta_p, width_sd, log_width_gain;
   View view;
 };
 
-// Likelihoods of the poses begin..end-1.
-void weigh(const Problem& q, const double* poses, py::ssize_t begin, py::ssize_t end,
-           double* log_likelihood, double* log_fit, double* expected, std::int32_t* matched,
-           std::int32_t* assignment) {
-  const int stride = (q.landmarks + 7) / 8 * 8;
-  std::vector<double> map_x(q.landmarks), map_y(q.landmarks), log_miss(q.landmarks),
-      log_hit(q.landmarks), price(q.landmarks), range(q.landmarks), bearing(q.landmarks),
-      pole_x(q.poles),
-      pole_y(q.poles), radius2(q.poles), alone(q.poles, 0.0);
-  std::vector<std::uint8_t> mask(static_cast<std::size_t>(q.poles) * stride, 0);
-  std::vector<Edge> edges;
-  std::vector<double> fit_of_edge;
-  std::vector<int> match(q.poles);
-  Assigner assigner;
-  double largest_map_variance = 0.0;
-  double best_hit = -kInfinity;
-  for (int l = 0; l < q.landmarks; ++l) {
-    map_x[l] = q.map_points[2 * l];
-    map_y[l] = q.map_points[2 * l + 1];
-    log_miss[l] = std::log1p(-q.detection[l]);
-    log_hit[l] = std::log(q.detection[l]);
-    largest_map_variance =
-        std::max(largest_map_variance, q.map_covariance[3 * l] + q.map_covariance[3 * l + 1]);
-    best_hit = std::max(best_hit, log_hit[l] - log_miss[l]);
-  }
-  const double log_scale = std::log(q.beta_p) - std::log(2.0 * kPi);
-  for (int z = 0; z < q.poles; ++z) {
-    // beyond this distance even the best landmark is worth less than no match
-    const double xx = q.covariance[3 * z], yy = q.covariance[3 * z + 1], xy = q.covariance[3 * z + 2];
-    const double gain = q.pole_log_gain[z] + best_hit + log_scale +
-                        std::max(0.0, q.log_width_gain) - 0.5 * std::log(xx * yy - xy * xy);
-    radius2[z] = gain > 0.0 ? 2.0 * gain * (xx + yy + largest_map_variance) / q.beta_p : -1.0;
-  }
-  double longest_view = 0.0;
-  for (int k = 0; k < q.view.bins; ++k)
-    longest_view = std::max(longest_view, q.view.free_range[k]);
-  const double bins_per_rad =
-      q.view.bins > 0 ? q.view.bins / (q.view.bearing_max - q.view.bearing_min) : 0.0;
+struct Output {
+  double *log_likelihood, *log_fit, *expected;
+  std::int32_t *matched, *assignment;
+};
 
-  for (py::ssize_t i = begin; i < end; ++i) {
-    const double east = poses[3 * i], north = poses[3 * i + 1];
-    const double c = std::cos(poses[3 * i + 2]), s = std::sin(poses[3 * i + 2]);
-    double log_weight = 0.0;
-    double hoped_for = 0.0;
-    if (q.view.bins > 0) {
-      bearings(q.landmarks, map_x.data(), map_y.data(),
-               east + c * q.view.origin_x - s * q.view.origin_y,
-               north + s * q.view.origin_x + c * q.view.origin_y, c, s, range.data(),
-               bearing.data());
-      for (int l = 0; l < q.landmarks; ++l) {
-        bool inside = range[l] >= q.view.range_min && range[l] <= longest_view;
-        if (inside) {
-          const double column = (bearing[l] - q.view.bearing_min) * bins_per_rad;
-          inside = column >= 0.0 && column < q.view.bins &&
-                   range[l] <= q.view.free_range[static_cast<int>(column)];
-        }
-        price[l] = 0.0;
-        if (inside) {
-          // the edge of the range is no wall: a miss says less the nearer to it
-          const double ratio = range[l] / longest_view;
-          const double fade = 1.0 - ratio * ratio;
-          price[l] = fade * log_miss[l];
-          log_weight += price[l];
-          hoped_for += fade * q.detection[l];
-        }
+// Weighs the poses begin..end-1.
+class Weigher {
+ public:
+  explicit Weigher(const Problem& problem)
+      : q_(problem),
+        log_miss_(problem.landmarks),
+        log_hit_(problem.landmarks),
+        radius_(problem.poles),
+        alone_(problem.poles, 0.0),
+        match_(problem.poles),
+        pole_x_(problem.poles * kBlock),
+        pole_y_(problem.poles * kBlock),
+        price_(problem.landmarks * kBlock) {
+    double largest_map_variance = 0.0;
+    double best_hit = -kInfinity;
+    for (int l = 0; l < q_.landmarks; ++l) {
+      log_miss_[l] = std::log1p(-q_.detection[l]);
+      log_hit_[l] = std::log(q_.detection[l]);
+      largest_map_variance =
+          std::max(largest_map_variance, q_.map_covariance[3 * l] + q_.map_covariance[3 * l + 1]);
+      best_hit = std::max(best_hit, log_hit_[l] - log_miss_[l]);
+    }
+    log_scale_ = std::log(q_.beta_p) - std::log(2.0 * kPi);
+    for (int z = 0; z < q_.poles; ++z) {
+      // beyond this distance even the best landmark is worth less than no match
+      const double xx = q_.covariance[3 * z], yy = q_.covariance[3 * z + 1];
+      const double xy = q_.covariance[3 * z + 2];
+      const double gain = q_.pole_log_gain[z] + best_hit + log_scale_ +
+                          std::max(0.0, q_.log_width_gain) - 0.5 * std::log(xx * yy - xy * xy);
+      radius_[z] =
+          gain > 0.0 ? std::sqrt(2.0 * gain * (xx + yy + largest_map_variance) / q_.beta_p) : -1.0;
+    }
+    for (int k = 0; k < q_.view.bins; ++k)
+      free_range2_.push_back(q_.view.free_range[k] * q_.view.free_range[k]);
+  }
+
+  void weigh(const double* poses, py::ssize_t begin, py::ssize_t end, const Output& out) {
+    for (py::ssize_t first = begin; first < end; first += kBlock) {
+      const int count = static_cast<int>(std::min<py::ssize_t>(kBlock, end - first));
+      for (int b = 0; b < kBlock; ++b) {
+        // a block that is not full repeats its last pose
+        const double* pose = poses + 3 * (first + std::min(b, count - 1));
+        block_.east[b] = pose[0];
+        block_.north[b] = pose[1];
+        block_.cosine[b] = std::cos(pose[2]);
+        block_.sine[b] = std::sin(pose[2]);
       }
-    } else {
-      std::fill(price.begin(), price.end(), 0.0);
+      look();
+      pair_up();
+      for (int b = 0; b < count; ++b) settle(b, first + b, out);
     }
-    for (int z = 0; z < q.poles; ++z) {
-      pole_x[z] = east + c * q.points[2 * z] - s * q.points[2 * z + 1];
-      pole_y[z] = north + s * q.points[2 * z] + c * q.points[2 * z + 1];
+  }
+
+ private:
+  // What each landmark that is in view would cost if it were missed.
+  void look() {
+    std::fill(base_, base_ + kBlock, 0.0);
+    std::fill(hoped_for_, hoped_for_ + kBlock, 0.0);
+    const View& view = q_.view;
+    if (view.bins == 0) {
+      std::fill(price_.begin(), price_.end(), 0.0);
+      return;
     }
-    coarse_gate(q.poles, q.landmarks, stride, pole_x.data(), pole_y.data(), radius2.data(),
-                map_x.data(), map_y.data(), mask.data());
-    edges.clear();
-    fit_of_edge.clear();
-    for (int z = 0; z < q.poles; ++z) {
-      const std::uint8_t* row = &mask[static_cast<std::size_t>(z) * stride];
-      const double xx = q.covariance[3 * z], yy = q.covariance[3 * z + 1], xy = q.covariance[3 * z + 2];
-      // the scan's covariance turned into the map
-      const double cc = c * c, ss = s * s, cs = c * s;
-      const double ee = cc * xx - 2.0 * cs * xy + ss * yy;
-      const double nn = ss * xx + 2.0 * cs * xy + cc * yy;
-      const double en = cs * (xx - yy) + (cc - ss) * xy;
-      for (int l = 0; l < q.landmarks; ++l) {
-        if (!row[l]) continue;
-        const double a = ee + q.map_covariance[3 * l];
-        const double b = nn + q.map_covariance[3 * l + 1];
-        const double d = en + q.map_covariance[3 * l + 2];
-        const double determinant = a * b - d * d;
-        const double dx = map_x[l] - pole_x[z], dy = map_y[l] - pole_y[z];
-        const double mahalanobis2 = (b * dx * dx - 2.0 * d * dx * dy + a * dy * dy) / determinant;
-        double fit = -0.5 * q.beta_p * mahalanobis2;
-        double gain = q.pole_log_gain[z] + log_hit[l] + log_scale - 0.5 * std::log(determinant);
-        const double width_error = (q.pole_width[z] - q.map_width[l]) / q.width_sd;
-        if (!std::isnan(width_error)) {
-          fit -= 0.5 * width_error * width_error;
-          gain += q.log_width_gain;
+    const double bins_per_rad = view.bins / (view.bearing_max - view.bearing_min);
+    const double nearest2 = view.range_min * view.range_min;
+    const double farthest2 = *std::max_element(free_range2_.begin(), free_range2_.end());
+    for (int l = 0; l < q_.landmarks; ++l) {
+      sight_block(block_, q_.map_points[2 * l], q_.map_points[2 * l + 1], view.origin_x,
+                  view.origin_y, range2_, bearing_);
+      double* price = &price_[static_cast<std::size_t>(l) * kBlock];
+      for (int b = 0; b < kBlock; ++b) {
+        price[b] = 0.0;
+        if (range2_[b] < nearest2 || range2_[b] > farthest2) continue;
+        const double column = (bearing_[b] - view.bearing_min) * bins_per_rad;
+        if (column < 0.0 || column >= view.bins ||
+            range2_[b] > free_range2_[static_cast<int>(column)])
+          continue;
+        // the edge of the range is no wall: a miss says less the nearer to it
+        const double fade = 1.0 - range2_[b] / farthest2;
+        price[b] = fade * log_miss_[l];
+        base_[b] += price[b];
+        hoped_for_[b] += fade * q_.detection[l];
+      }
+    }
+  }
+
+  // Lists the pairs that stand near enough for any pose of the block, and values them for all.
+  void pair_up() {
+    pairs_.clear();
+    for (int z = 0; z < q_.poles; ++z) {
+      double* x = &pole_x_[static_cast<std::size_t>(z) * kBlock];
+      double* y = &pole_y_[static_cast<std::size_t>(z) * kBlock];
+      place_block(block_, q_.points[2 * z], q_.points[2 * z + 1], x, y);
+      if (radius_[z] < 0.0) continue;
+      const auto span_x = std::minmax_element(x, x + kBlock);
+      const auto span_y = std::minmax_element(y, y + kBlock);
+      const double west = *span_x.first - radius_[z], east = *span_x.second + radius_[z];
+      const double south = *span_y.first - radius_[z], north = *span_y.second + radius_[z];
+      for (int l = 0; l < q_.landmarks; ++l) {
+        const double map_x = q_.map_points[2 * l], map_y = q_.map_points[2 * l + 1];
+        if (map_x < west || map_x > east || map_y < south || map_y > north) continue;
+        pairs_.push_back({z, l, 0.0});
+        const std::size_t offset = (pairs_.size() - 1) * kBlock;
+        if (gain_.size() < offset + kBlock) {
+          gain_.resize(offset + kBlock);
+          fit_.resize(offset + kBlock);
         }
-        gain += fit - price[l];
-        if (gain > 0.0) {
-          edges.push_back({z, l, -gain});
-          fit_of_edge.push_back(fit);
-        }
+        pair_block(block_, pair_of(z, l), x, y, &gain_[offset], &fit_[offset]);
+      }
+    }
+  }
+
+  Pair pair_of(int z, int l) const {
+    Pair pair{q_.covariance[3 * z], q_.covariance[3 * z + 1], q_.covariance[3 * z + 2],
+              q_.map_covariance[3 * l], q_.map_covariance[3 * l + 1], q_.map_covariance[3 * l + 2],
+              q_.map_points[2 * l], q_.map_points[2 * l + 1], q_.beta_p, 0.0,
+              q_.pole_log_gain[z] + log_hit_[l] + log_scale_};
+    const double width_error = (q_.pole_width[z] - q_.map_width[l]) / q_.width_sd;
+    if (!std::isnan(width_error)) {
+      pair.width_fit = -0.5 * width_error * width_error;
+      pair.constant += q_.log_width_gain;
+    }
+    return pair;
+  }
+
+  // The optimal assignment of one pose of the block.
+  void settle(int b, py::ssize_t pose, const Output& out) {
+    edges_.clear();
+    fit_of_edge_.clear();
+    for (std::size_t p = 0; p < pairs_.size(); ++p) {
+      const double gain = gain_[p * kBlock + b] -
+                          price_[static_cast<std::size_t>(pairs_[p].column) * kBlock + b];
+      if (gain > 0.0) {
+        edges_.push_back({pairs_[p].row, pairs_[p].column, -gain});
+        fit_of_edge_.push_back(fit_[p * kBlock + b]);
       }
     }
     double cost = 0.0;
     int count = 0;
-    assigner.solve(edges, alone.data(), q.poles, q.landmarks, &cost, match.data(), &count);
-    log_likelihood[i] = log_weight - cost;
+    assigner_.solve(edges_, alone_.data(), q_.poles, q_.landmarks, &cost, match_.data(), &count);
     double fit = 0.0;
-    for (std::size_t edge = 0; edge < edges.size(); ++edge)
-      if (match[edges[edge].row] == edges[edge].column) fit += fit_of_edge[edge];
-    log_fit[i] = fit;
-    matched[i] = count;
-    expected[i] = hoped_for;
-    if (assignment != nullptr)
-      std::copy(match.begin(), match.end(), assignment + i * q.poles);
+    for (std::size_t edge = 0; edge < edges_.size(); ++edge)
+      if (match_[edges_[edge].row] == edges_[edge].column) fit += fit_of_edge_[edge];
+    out.log_likelihood[pose] = base_[b] - cost;
+    out.log_fit[pose] = fit;
+    out.expected[pose] = hoped_for_[b];
+    out.matched[pose] = count;
+    if (out.assignment != nullptr)
+      std::copy(match_.begin(), match_.end(), out.assignment + pose * q_.poles);
   }
-}
+
+  const Problem& q_;
+  std::vector<double> log_miss_, log_hit_, radius_, alone_;
+  std::vector<int> match_;
+  std::vector<double> free_range2_, pole_x_, pole_y_, price_, gain_, fit_;
+  std::vector<Edge> pairs_, edges_;
+  std::vector<double> fit_of_edge_;
+  Assigner assigner_;
+  Block block_;
+  Lane range2_, bearing_, base_, hoped_for_;
+  double log_scale_ = 0.0;
+};
 
 void check(const Doubles& array, std::initializer_list<py::ssize_t> shape, const char* name,
            bool finite) {
@@ -528,21 +628,18 @@ py::tuple pole_log_likelihood(const Doubles& poses, const Doubles& points,
   py::array_t<std::int32_t> matched(n);
   py::array_t<std::int32_t> assignment({want_assignment ? n : 0, z});
   const double* pose = poses.data();
-  double* weight = log_likelihood.mutable_data();
-  double* fit = log_fit.mutable_data();
-  std::int32_t* matches = matched.mutable_data();
-  double* hoped_for = expected.mutable_data();
-  std::int32_t* pairs = want_assignment ? assignment.mutable_data() : nullptr;
+  const Output out{log_likelihood.mutable_data(), log_fit.mutable_data(), expected.mutable_data(),
+                   matched.mutable_data(),
+                   want_assignment ? assignment.mutable_data() : nullptr};
   {
     py::gil_scoped_release release;
-    const int workers = static_cast<int>(std::max<py::ssize_t>(1, std::min<py::ssize_t>(threads, n)));
+    const py::ssize_t workers = std::max<py::ssize_t>(1, std::min<py::ssize_t>(threads, n));
     std::vector<std::thread> pool;
-    for (int worker = 1; worker < workers; ++worker)
+    for (py::ssize_t worker = 1; worker < workers; ++worker)
       pool.emplace_back([&, worker] {
-        weigh(problem, pose, n * worker / workers, n * (worker + 1) / workers, weight, fit,
-              hoped_for, matches, pairs);
+        Weigher(problem).weigh(pose, n * worker / workers, n * (worker + 1) / workers, out);
       });
-    weigh(problem, pose, 0, n / workers, weight, fit, hoped_for, matches, pairs);
+    Weigher(problem).weigh(pose, 0, n / workers, out);
     for (std::thread& thread : pool) thread.join();
   }
   return py::make_tuple(log_likelihood, log_fit, expected, matched, assignment);
