@@ -33,6 +33,13 @@ class Errors:
         """Distance to the reference, `(n,)`."""
         return np.asarray(np.hypot(self.lateral_m, self.longitudinal_m))
 
+    def after(self, stamp_s: float) -> Errors:
+        """The errors from `stamp_s` on."""
+        keep = self.stamp_s >= stamp_s
+        return Errors(
+            self.stamp_s[keep], self.lateral_m[keep], self.longitudinal_m[keep], self.yaw_rad[keep]
+        )
+
 
 def errors_against(estimate: Trajectory, reference: Trajectory) -> Errors:
     """Errors of `estimate` at its own stamps; stamps without a reference are left out."""

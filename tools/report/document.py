@@ -14,6 +14,7 @@ from tools.report.route_tables import (
     EVENTS,
     latency_ms,
     passes_text,
+    perception_ms,
     poles_per_km,
     route_type,
     runs_of,
@@ -144,6 +145,7 @@ def _accuracy(result: RouteResult) -> dict[str, Any]:
             values = {key: [run[key] for run in one.accuracy if key in run] for key in keys}
             systems[one.system.name] = {
                 **{key: float(np.mean(v)) for key, v in values.items()},
+                "per_run_position_rmse_m": values["position_rmse_m"],
                 "spread": {
                     key: float(np.std(v, ddof=1)) for key, v in values.items() if len(v) > 1
                 },
@@ -174,6 +176,7 @@ def _timing(result: RouteResult) -> dict[str, Any]:
             stage: {key: float(np.median(values)) for key, values in figures.items()}
             for stage, figures in stages.items()
         },
+        "perception_mean_ms": perception_ms(runs),
         "latency_ms": None
         if lag is None
         else dict(zip(("median", "p95", "p99"), lag, strict=True)),

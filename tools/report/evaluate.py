@@ -17,6 +17,7 @@ from tools.report.exclusions import (
     UserInterval,
     evasive_manoeuvres,
     excluded_mask,
+    start_up_exclusions,
     u_turns,
     user_exclusions,
 )
@@ -131,7 +132,7 @@ def evaluate_route(
         crossings(stretch, judge_tracks, guide)
         for stretch, guide in zip(stretches, guides, strict=True)
     ]
-    exclusions = _exclusions(route.name, stretches, crossed, intervals)
+    exclusions = _exclusions(route, stretches, crossed, intervals)
     masks = [excluded_mask(s, number, exclusions) for number, s in enumerate(stretches)]
     truth = _tracks(route.recordings, "truth")
     true_parts = _masked(stretches, truth, guides, masks) if truth else None
@@ -210,12 +211,14 @@ def _tracks(recordings: Sequence[Recording], kind: str) -> tuple[Trajectory, ...
 
 
 def _exclusions(
-    route: str,
+    route: Route,
     stretches: Sequence[Stretch],
     crossed: Sequence[Sequence[Crossing]],
     intervals: Sequence[UserInterval],
 ) -> list[Exclusion]:
-    found = user_exclusions(stretches, crossed, intervals, route)
+    found = user_exclusions(stretches, crossed, intervals, route.name)
+    settled = [recording.settled_s for recording in route.recordings]
+    found += start_up_exclusions(stretches, crossed, settled)
     for number, stretch in enumerate(stretches):
         found.extend(Exclusion(number, None, a, b, "U-turn") for a, b in u_turns(stretch.path))
         for one in evasive_manoeuvres(stretch, crossed[number]):
@@ -264,14 +267,13 @@ def _evaluate(
             [errors_against(track, goal) for track, goal in zip(tracks, goals, strict=True)]
             for tracks in system.tracks
         ]
-    joined = [_join(one) for one in per_run]
     return SystemResult(
         system=system,
         repeatability=tuple(repeated),
         example=tuple(example),
         blocks=Blocks(np.array(squares), np.array(weights)),
         true_lateral_rms_m=tuple(true_rms),
-        accuracy=tuple(summary(one) for one in joined),
+        accuracy=tuple(_accuracy(one, route.recordings) for one in per_run),
         errors=tuple(per_run[0]) if per_run else (),
         error_blocks=_error_blocks(per_run, [one.guide for one in route.recordings]),
     )
@@ -308,6 +310,18 @@ def _error_blocks(per_run: list[list[Errors]], guides: Sequence[Trajectory]) -> 
             np.concatenate([p.weights for p in parts], axis=1),
         )
     return result
+
+
+def _accuracy(errors: Sequence[Errors], recordings: Sequence[Recording]) -> dict[str, float]:
+    """The summary over everything, and `settled_...` for what follows the start-up."""
+    settled = [
+        one.after(recording.settled_s) for one, recording in zip(errors, recordings, strict=True)
+    ]
+    later = summary(_join(settled))
+    return {
+        **summary(_join(errors)),
+        **{f"settled_{key}": value for key, value in later.items() if "_rmse_" in key},
+    }
 
 
 def _join(errors: Sequence[Errors]) -> Errors:

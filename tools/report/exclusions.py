@@ -8,6 +8,7 @@ Rules (docs/repeatability.md):
   deviation that follows from the heading alone reaches half of it. A localizer that jumps does
   not turn the car, so that its errors are never excluded. The stretch is widened to where the
   pass is back within a quarter of the limit, by at most 40 m on either side.
+- Start-up: the first 5 s after the particle filter's first pose, in which it still converges.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ EVASIVE_MIN_LENGTH_M = 3.0
 EVASIVE_MARGIN_M = 40.0
 EVASIVE_STEERED_SHARE = 0.5
 DRIFT_WINDOW_M = 120.0
+START_UP_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +158,27 @@ def _was_steered(swerve: Floats, slope: Floats, first: int, last: int) -> bool:
     peak = int(np.argmax(np.abs(part)))
     moved = part[peak] - part[0]
     return bool(np.sign(moved) * walked[peak] >= EVASIVE_STEERED_SHARE * abs(moved))
+
+
+def start_up_exclusions(
+    stretches: Sequence[Stretch],
+    crossed: Sequence[Sequence[Crossing]],
+    settled_s: Sequence[float],
+) -> list[Exclusion]:
+    """Stations that a pass drove before its recording's filter had settled.
+
+    Args:
+        settled_s: for every recording the time from which its poses count.
+    """
+    found = []
+    for number, stretch in enumerate(stretches):
+        for row, (span, one) in enumerate(zip(stretch.passes, crossed[number], strict=True)):
+            early = one.stamp_s < settled_s[span.source]
+            if early.any():
+                at = stretch.path.station_m[one.stations[early]]
+                reason = f"start-up, {START_UP_S:.0f} s"
+                found.append(Exclusion(number, row, float(at.min()), float(at.max()), reason))
+    return found
 
 
 def user_exclusions(

@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 CLOSE_UP_M = 60.0
 MAX_POINTS = 1500
+CHI2_99 = 11.345
 
 
 def route_pictures(result: RouteResult, slug: str) -> list[Picture]:
@@ -139,22 +140,20 @@ def monte_carlo(result: RouteResult, key: str) -> Picture | None:
 
 
 def errors_over_time(result: RouteResult, key: str) -> Picture | None:
-    """Lateral and longitudinal error of the first run with the filter's own 3-sigma band."""
+    """Errors of the first run over time, with the filter's own 3-sigma band."""
     kf, pf = result.of_kind("kf"), result.of_kind("pf")
     if kf is None or pf is None or not kf.errors or len(kf.errors[0].stamp_s) == 0:
         return None
-    run = runs_of(result, kf.system.setting)[0][0]
-    major = run.health_numbers("position_sd_major_m", "sd_major_m")
-    stamp = run.health_numbers("stamp_s", "stamp")
+    band = _output_sds(result, kf)
     begin = float(kf.errors[0].stamp_s[0])
     with drawing(8.0, 4.6) as figure:
         all_axes = figure.subplots(3, 1, sharex=True)
         panels = (("lateral_m", "lateral [m]", 1.0), ("longitudinal_m", "longitudinal [m]", 1.0),
                   ("yaw_rad", "yaw [°]", float(np.degrees(1.0))))  # fmt: skip
-        for axes, (kind, label, scale) in zip(all_axes, panels, strict=True):
-            if major is not None and stamp is not None and kind != "yaw_rad":
-                time, band = thin(stamp - begin, 3.0 * major)
-                axes.fill_between(time, -band, band, color=SHADE, lw=0, label="3σ of the PF")
+        for row, (axes, (kind, label, scale)) in enumerate(zip(all_axes, panels, strict=True)):
+            if band is not None:
+                time, width = thin(band[0] - begin, 3.0 * scale * band[1][:, row])
+                axes.fill_between(time, -width, width, color=SHADE, lw=0, label="3σ of the kf")
             for one in (pf, kf):
                 errors = one.errors[0]
                 time, values = thin(errors.stamp_s - begin, scale * getattr(errors, kind))
@@ -168,48 +167,94 @@ def errors_over_time(result: RouteResult, key: str) -> Picture | None:
             figure,
             key,
             f"Errors against the {result.against}",
-            "First run, first recording. Band: three times the larger position standard deviation "
-            "that the particle filter states.",
+            "First run, first recording. Band: three standard deviations that the output filter "
+            "states, in the direction of the error.",
         )
 
 
+def _output_sds(result: RouteResult, kf: SystemResult) -> tuple[Floats, Floats] | None:
+    """Stamps `(n,)` and lateral, longitudinal and yaw sd `(n, 3)` of the first run's output."""
+    run = runs_of(result, kf.system.setting)[0][0]
+    kept = run.output_covariance()
+    if kept is None:
+        return None
+    stamps, covariance = kept
+    yaw = run.kf.at(stamps)[:, 2]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    east, north, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+    lateral = sin**2 * east + cos**2 * north - 2.0 * sin * cos * both
+    along = cos**2 * east + sin**2 * north + 2.0 * sin * cos * both
+    variances = np.column_stack([lateral, along, covariance[:, 2, 2]])
+    return stamps, np.sqrt(np.maximum(np.nan_to_num(variances), 0.0))
+
+
 def consistency(result: RouteResult, key: str) -> Picture | None:
-    """NIS of the gate, and NEES, over time, where the run kept them."""
+    """NIS of the particle filter's poses at the gate, and NEES of the output, over time."""
     kf = result.of_kind("kf")
     if kf is None:
         return None
-    run = runs_of(result, kf.system.setting)[0][0]
-    stamp = run.health_numbers("stamp_s", "stamp")
-    nis = run.health_numbers("nis", "gate_nis")
-    nees = run.health_numbers("nees", "pf_nees", "kf_nees")
-    series = [
-        (n, v) for n, v in (("NIS", nis), ("NEES", nees)) if v is not None and np.isfinite(v).any()
-    ]
-    if stamp is None or not series:
+    series = [s for s in (_nis(result, kf), _nees(result, kf)) if s is not None]
+    if not series:
         return None
-    with drawing(8.0, 1.0 + 1.6 * len(series)) as figure:
+    begin = min(float(stamps[0]) for _, stamps, _ in series)
+    with drawing(8.0, 0.8 + 1.7 * len(series)) as figure:
         all_axes = figure.subplots(len(series), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, (name, values) in zip(all_axes, series, strict=True):
-            good = np.isfinite(values) & (values > 0)
-            axes.plot(stamp[good] - stamp[0], values[good], ".", ms=2.5, color=COLOURS["pf"], mew=0)
+        for axes, (name, stamps, values) in zip(all_axes, series, strict=True):
+            time, shown = thin(stamps - begin, values)
+            axes.plot(time, shown, ".", ms=2.5, color=COLOURS["pf"], mew=0)
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            for level, style in ((3.0, "-"), (11.34, "--")):
+            for level, style in ((3.0, "-"), (CHI2_99, "--")):
                 axes.axhline(level, color=INK, lw=0.8, ls=style)
-            share = float(np.mean(values[good] > 11.34)) if good.any() else 0.0
-            tidy(
-                axes,
-                "",
-                name,
-                f"{name}: mean {np.mean(values[good]):.2f}, {100 * share:.1f} % above 99 %",
-            )
+            above = 100.0 * float(np.mean(values > CHI2_99))
+            tidy(axes, "", "", f"{name}: mean {np.mean(values):.2f}, {above:.1f} % above 99 %")
         all_axes[-1].set_xlabel("time [s]")
         return finish(
             figure,
             key,
-            "Consistency: NIS and NEES",
-            "Three degrees of freedom: line at the expected mean 3, dashed at the 99 % quantile.",
+            "Consistency",
+            "Three degrees of freedom: line at the expected mean of 3, dashed at the 99 % "
+            "quantile. NIS: particle-filter pose against prediction; NEES: output against the "
+            f"{result.against}. First run.",
         )
+
+
+def _nis(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] | None:
+    run = runs_of(result, kf.system.setting)[0][0]
+    stamps, values = run.health_numbers("stamp_s"), run.health_numbers("nis", "gate_nis")
+    if stamps is None or values is None:
+        return None
+    good = np.isfinite(values) & (values > 0.0)
+    return ("NIS at the gate", stamps[good], values[good]) if good.any() else None
+
+
+def _nees(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] | None:
+    sds = _output_sds(result, kf)
+    run = runs_of(result, kf.system.setting)[0][0]
+    kept = run.output_covariance()
+    if sds is None or kept is None or not kf.errors or len(kf.errors[0].stamp_s) < 2:
+        return None
+    stamps, covariance = kept
+    goals = kf.errors[0]
+    # Back from the vehicle's axes to the map's, at the stamps that have a reference.
+    rows = np.clip(np.searchsorted(stamps, goals.stamp_s), 0, len(stamps) - 1)
+    yaw = run.kf.at(goals.stamp_s)[:, 2] - goals.yaw_rad
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    error = np.column_stack(
+        [
+            cos * goals.longitudinal_m - sin * goals.lateral_m,
+            sin * goals.longitudinal_m + cos * goals.lateral_m,
+            goals.yaw_rad,
+        ]
+    )
+    known = np.isfinite(error).all(axis=1) & np.isfinite(covariance[rows]).all(axis=(1, 2))
+    error, chosen = error[known], covariance[rows][known]
+    definite = np.linalg.eigvalsh(chosen)[:, 0] > 0.0
+    error, chosen = error[definite], chosen[definite]
+    if len(error) == 0:
+        return None
+    values = np.sum(error * np.linalg.solve(chosen, error[..., None])[..., 0], axis=1)
+    return "NEES of the output filter", goals.stamp_s[known][definite], np.maximum(values, 1e-4)
 
 
 def poles_along_route(result: RouteResult, key: str) -> Picture | None:

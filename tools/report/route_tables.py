@@ -10,6 +10,7 @@ import yaml
 from scipy.spatial import KDTree
 
 from tools.report.evaluate import RouteResult, SystemResult
+from tools.report.exclusions import START_UP_S
 from tools.report.laps import road_length_m
 from tools.report.runs import Run
 from tools.report.tables import Table, number, span, with_spread
@@ -20,7 +21,7 @@ KIND_NAMES = {
     "pf": "particle filter",
     "kf": "output filter",
     "reference": "reference system",
-    "truth": "truth (driver's own wander)",
+    "truth": "simulator",
     "added": "added",
 }
 
@@ -205,6 +206,7 @@ def accuracy_table(results: Sequence[RouteResult]) -> Table:
                     result.against or "–",
                     *(_over_runs(one, key) for key in ("lateral_rmse_m", "lateral_median_m")),
                     _over_runs(one, "lateral_p95_m"),
+                    _over_runs(one, "settled_lateral_rmse_m"),
                     _over_runs(one, "longitudinal_rmse_m"),
                     _over_runs(one, "position_rmse_m"),
                     _over_runs(one, "position_p95_m"),
@@ -229,6 +231,7 @@ def accuracy_table(results: Sequence[RouteResult]) -> Table:
             "Lateral RMSE [m]",
             "median [m]",
             "p95 [m]",
+            "settled RMSE [m]",
             "Longitudinal RMSE [m]",
             "Position RMSE [m]",
             "p95 [m]",
@@ -236,7 +239,8 @@ def accuracy_table(results: Sequence[RouteResult]) -> Table:
             "NEES / 3",
         ),
         tuple(rows),
-        f"At the stamps of the estimate, all recordings together; mean ± spread over runs. {own}",
+        "At the stamps of the estimate, all recordings together; mean ± spread over runs. Settled: "
+        f"from {START_UP_S:.0f} s after the particle filter's first pose. {own}",
         text_columns=3,
     )
 
@@ -283,6 +287,11 @@ def timing_table(results: Sequence[RouteResult], machine: str) -> Table:
         lag = latency_ms(runs)
         if lag is not None:
             rows.append((result.route.name, "latency of the pose", *(number(v, 2) for v in lag)))
+        looking = perception_ms(runs)
+        if looking is not None:
+            rows.append(
+                (result.route.name, "perception (mean a frame)", number(looking, 2), "–", "–")
+            )
         factors = [
             run.metrics["real_time_factor"] for run in runs if "real_time_factor" in run.metrics
         ]
@@ -384,6 +393,14 @@ def latency_ms(runs: Sequence[Run]) -> tuple[float, float, float] | None:
         return None
     median, p95, p99 = (float(v) for v in 1e3 * np.quantile(values, [0.5, 0.95, 0.99]))
     return (median, p95, p99)
+
+
+def perception_ms(runs: Sequence[Run]) -> float | None:
+    """Mean time a frame took from the images to the tracked poles."""
+    spent = [run.metrics.get("perception_s") for run in runs]
+    frames = [run.metrics.get("updates") for run in runs]
+    values = [1e3 * s / n for s, n in zip(spent, frames, strict=True) if s and n]
+    return float(np.median(values)) if values else None
 
 
 def passes_text(result: RouteResult) -> str:

@@ -15,6 +15,7 @@ from drivelog.drive import Drive, open_drive
 from drivelog.errors import InputError, PolemapError
 from polemap.io import read_map
 from polemap.landmark_map import PoleMap
+from tools.report.exclusions import START_UP_S
 from tools.report.laps import SAME_ROAD_M, Span
 from tools.report.runs import RunSet
 from tools.report.trajectory import Trajectory, read_tum
@@ -52,6 +53,11 @@ class Recording:
     def main(self) -> RunSet:
         """The run set of the first setting."""
         return next(iter(self.settings.values()))
+
+    @property
+    def settled_s(self) -> float:
+        """From here on poses count for a repeatability: `START_UP_S` after the first of the PF."""
+        return max(float(run.pf.stamp_s[0]) for run in self.main.runs) + START_UP_S
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,26 @@ class Run:
     health: Mapping[str, Floats | list[str]]
     timings: Mapping[str, Floats]
     metrics: Mapping[str, Any]
+    folder: Path | None = None
+
+    def output_covariance(self) -> tuple[Floats, Floats] | None:
+        """Stamps `(n,)` and covariances `(n, 3, 3)` of the output filter, where the run kept them.
+
+        Raises:
+            InputError: output.csv is there but damaged.
+        """
+        if self.folder is None or not (self.folder / "output.csv").is_file():
+            return None
+        table = _read_table(self.folder / "output.csv")
+        names = ("stamp_s", "var_east_m2", "var_north_m2", "cov_east_north_m2", "var_yaw_rad2")
+        columns = [column for column in map(table.get, names) if isinstance(column, np.ndarray)]
+        if len(columns) != len(names):
+            return None
+        covariance = np.zeros((len(columns[0]), 3, 3))
+        covariance[:, 0, 0], covariance[:, 1, 1] = columns[1], columns[2]
+        covariance[:, 0, 1] = covariance[:, 1, 0] = columns[3]
+        covariance[:, 2, 2] = columns[4]
+        return columns[0], covariance
 
     def health_numbers(self, *names: str) -> Floats | None:
         """The first of the columns that exists and holds numbers."""
@@ -132,6 +152,7 @@ def _read_run(folder: Path, config: Mapping[str, Any], number: int) -> Run:
             if isinstance(column, np.ndarray)
         },
         metrics=_read_metrics(folder / "metrics.json"),
+        folder=folder,
     )
 
 

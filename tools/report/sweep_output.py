@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from tools.report.style import COLOURS, INK, Picture, drawing, finish, tidy
 from tools.report.sweeps import SweptRoute, SweptValue
@@ -109,7 +109,9 @@ def _picture(one: SweptRoute, key: str) -> Picture:
         for place, runs in zip(x, counts, strict=True):
             lower.plot([place] * len(runs), runs, ".", color=COLOURS["pf"], ms=4, mew=0)
         lower.plot(x, [np.mean(runs) for runs in counts], color=INK, lw=1.0)
-        lower.set_ylim(bottom=-0.1)
+        most = max(max(runs) for runs in counts)
+        lower.set_ylim(-0.1 * max(most, 1), 1.1 * max(most, 1))
+        lower.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
         tidy(lower, _NAMES.get(one.sweep.name, one.sweep.name), "re-init. per run")
         if ordered and len(x) > 2 and x[0] > 0 and x[-1] / x[0] > 8:
             lower.set_xscale("log")
