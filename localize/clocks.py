@@ -15,8 +15,8 @@ from localize.output_config import OutputConfig
 
 # samples that agree on a step do so to this
 _AGREE_S = 0.05
-# an early sample of a sensor may be this much slower than its later ones
-_TYPICAL_SHARE = 0.1
+# the typical delay follows short delays at once and long ones slowly
+_TYPICAL_SHARE = 0.01
 
 
 class StreamClock:
@@ -76,12 +76,12 @@ class StreamClock:
         return len(last) == needed and max(last) - min(last) < _AGREE_S
 
     def _note(self, stamp: float, delay: float) -> None:
-        if self._delay_s is None:
+        # nothing arrives before it was measured: below zero it is the clock that runs fast
+        delay = max(delay, 0.0)
+        if self._delay_s is None or delay < self._delay_s:
             self._delay_s = delay
         else:
-            # follows the short delays fast and the long ones slowly
-            share = 1.0 if delay < self._delay_s else _TYPICAL_SHARE * 0.1
-            self._delay_s += share * (delay - self._delay_s)
+            self._delay_s += _TYPICAL_SHARE * (delay - self._delay_s)
         if stamp > self._newest_s:
             self._newest_s = stamp
 

@@ -76,8 +76,8 @@ class OutputConfig(BaseModel):
     # consecutive rejections: ignore, then inflate, then re-initialize
     inflate_after_s: float = Field(0.5, ge=0.0)
     inflate_factor: float = Field(1.3, gt=1.0, description="On the pose's sd, per rejection.")
-    inflate_max_m: float = Field(1.0, gt=0.0)
-    inflate_max_rad: float = Field(0.15, gt=0.0)
+    inflate_max_m: float = Field(0.5, gt=0.0)
+    inflate_max_rad: float = Field(0.015, gt=0.0)
     reinitialize_after_s: float = Field(2.0, gt=0.0)
     gnss_veto: float = Field(
         1.0, description="Log-likelihood by which GNSS must speak for the filter to veto it."

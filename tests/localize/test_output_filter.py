@@ -1,0 +1,484 @@
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localize.ctrv_kernel import pack, unpack
+from localize.metrics import nees
+from localize.output_config import OutputConfig
+from localize.output_filter import OutputFilter, usable_pose
+from localize.output_state import FilterState
+from simulate.point_drive import PointNoise, point_drive
+from vehicle.delay import Placement
+from vehicle.errors import VehicleError
+from vehicle.kalman import chi_square_gate
+from vehicle.motion import ctrv_jacobian, ctrv_process_noise, ctrv_step
+from vehicle.pose import wrap_angle
+
+PLAIN = OutputConfig(gate=False, pose_errors="independent", pose_floor_m=0.0, pose_floor_rad=0.0)
+START = np.diag([0.04, 0.04, 0.01])
+
+
+def events_of(drive):
+    """(arrival, kind, sample) of odometry and poses."""
+    events = [(o.arrival_s, 0, o) for o in drive.odometry]
+    events += [(p.arrival_s, 1, p) for p in drive.poses]
+    return sorted(events, key=lambda event: event[:2])
+
+
+def give(output, kind, sample):
+    if kind == 0:
+        return output.odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
+    if kind == 1:
+        return output.pose(sample.stamp_s, sample.pose, sample.covariance)
+    return output.gnss(sample.stamp_s, sample.east_m, sample.north_m, sample.hdop)
+
+
+def run(drive, config, events=None):
+    """Feed a drive and ask at 100 Hz; stamps, means (n, 7), covariances (n, 3, 3), the filter."""
+    output = OutputFilter(config)
+    stamps, means, covariances, tick = [], [], [], 0
+    for arrival, kind, sample in events_of(drive) if events is None else events:
+        while tick / 100 < arrival:
+            if output.started:
+                state = output.at(tick / 100)
+                stamps.append(tick / 100)
+                means.append(state.mean)
+                covariances.append(unpack(state.upper)[:3, :3])
+            tick += 1
+        give(output, kind, sample)
+    return np.array(stamps), np.array(means), np.array(covariances), output
+
+
+def same(a, b, tolerance):
+    assert a.stamp_s == b.stamp_s
+    assert np.allclose(a.mean, b.mean, rtol=0, atol=tolerance)
+    assert np.allclose(a.upper, b.upper, rtol=0, atol=tolerance)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000), st.booleans())
+def test_any_arrival_order_within_the_horizon_gives_the_in_order_result(seed, gated):
+    rng = np.random.default_rng(seed)
+    drive = point_drive(rng, duration_s=1.2)
+    config = PLAIN.model_copy(update={"horizon_s": 10.0, "gate": gated})
+    events = [(e[1], e[2]) for e in events_of(drive)]
+    if gated:
+        # some wild poses, so that there are decisions to agree on
+        wild = rng.random(len(events)) < 0.1
+        events = [
+            (kind, replace(s, pose=s.pose + np.array([3.0, 0.0, 0.0])) if kind == 1 and bad else s)
+            for (kind, s), bad in zip(events, wild, strict=True)
+        ]
+    ordered = sorted(events, key=lambda event: (event[1].stamp_s, event[0]))
+    first = next(i for i, (kind, _) in enumerate(ordered) if kind == 1)
+    start, rest = ordered[first], ordered[first + 1 :]
+    outputs = []
+    for order in (range(len(rest)), rng.permutation(len(rest))):
+        output = OutputFilter(config)
+        give(output, *start)
+        for i in order:
+            assert give(output, *rest[i]) in (Placement.APPENDED, Placement.REPLAYED)
+        outputs.append(output)
+    same(outputs[0].newest, outputs[1].newest, 1e-9)
+    assert outputs[0].newest.counts == outputs[1].newest.counts
+    for stamp in np.linspace(start[1].stamp_s, 1.2, 20):
+        assert outputs[0].decision_at(stamp) == outputs[1].decision_at(stamp)
+        same(outputs[0].at(stamp), outputs[1].at(stamp), 1e-9)
+
+
+def batch_oracle(states, events, config):
+    """All states at once by weighted least squares on the filter's own linearisation.
+
+    An independent way to the same estimate: no gain, no recursion, one sparse-shaped system.
+    """
+    n = len(states)
+    rows, values = [], []
+
+    def add(entries, value, covariance):
+        white = np.linalg.inv(np.linalg.cholesky(covariance))
+        block = np.zeros((len(value), 7 * n))
+        for index, jacobian in entries:
+            block[:, 7 * index : 7 * index + 7] = jacobian
+        rows.append(white @ block)
+        values.append(white @ value)
+
+    add([(0, np.eye(7))], np.array(states[0].mean), unpack(states[0].upper))
+    qa = 2 * config.acceleration_mps2**2 * config.acceleration_time_s
+    qw = 2 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s
+    for k in range(1, n):
+        before = np.array(states[k - 1].mean)
+        dt = states[k].stamp_s - states[k - 1].stamp_s
+        if dt == 0.0:
+            # two events of one moment: a transition without noise, made stiff
+            transition, noise, moved = np.eye(7), 1e-16 * np.eye(7), before
+        else:
+            transition, noise = np.eye(7), np.zeros((7, 7))
+            transition[:5, :5] = ctrv_jacobian(before[:5], dt)
+            slip = 2 * config.slip_rad_per_mps2**2 * config.slip_time_s
+            lasting = 2 * config.odometry_error_time_s
+            noise[:5, :5] = ctrv_process_noise(
+                before[:5],
+                dt,
+                acceleration_m2ps3=qa,
+                yaw_acceleration_rad2ps3=qw,
+                lateral_m2ps=slip * (before[3] ** 2 * before[4]) ** 2,
+                along_m2ps=lasting * (config.speed_error_share * before[3]) ** 2,
+                yaw_rad2ps=lasting * config.yaw_rate_error_radps**2 * min(1.0, before[3] ** 2),
+            )
+            noise[5, 5] = config.speed_scale_walk**2 * dt
+            noise[6, 6] = config.yaw_rate_offset_walk_radps**2 * dt
+            moved = np.concatenate([ctrv_step(before[:5], dt), before[5:]])
+            # the filter's yaw is wrapped, the line is not
+            moved[2] = before[2] + before[4] * dt
+        add([(k, np.eye(7)), (k - 1, -transition)], moved - transition @ before, noise)
+        kind, sample = events[k - 1]
+        if kind == 1:
+            add([(k, np.eye(3, 7))], sample.pose, sample.covariance)
+        else:
+            jacobian = np.zeros((2, 7))
+            jacobian[0, 3], jacobian[0, 5] = 1.0 + moved[5], moved[3]
+            jacobian[1, 4] = jacobian[1, 6] = 1.0
+            predicted = np.array([moved[3] * (1 + moved[5]), moved[4] + moved[6]])
+            measured = np.array([sample.speed_mps, sample.yaw_rate_radps])
+            value = measured - predicted + jacobian @ moved
+            variances = [config.speed_sd_mps**2, config.yaw_rate_sd_radps**2]
+            add([(k, jacobian)], value, np.diag(variances))
+    matrix, value = np.vstack(rows), np.concatenate(values)
+    solution = np.linalg.lstsq(matrix, value, rcond=None)[0]
+    information = matrix.T @ matrix
+    last = np.linalg.inv(information)[-7:, -7:]
+    return solution[-7:], last
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_filter_equals_batch_least_squares_on_its_linearisation(seed):
+    drive = point_drive(np.random.default_rng(seed), duration_s=0.7)
+    events = sorted(
+        [(0, o) for o in drive.odometry] + [(1, p) for p in drive.poses],
+        key=lambda event: (event[1].stamp_s, event[0]),
+    )
+    first = next(i for i, (kind, _) in enumerate(events) if kind == 1)
+    output = OutputFilter(PLAIN)
+    for kind, sample in events[: first + 1]:
+        give(output, kind, sample)
+    states = [output.newest]
+    rest = events[first + 1 :]
+    for kind, sample in rest:
+        give(output, kind, sample)
+        states.append(output.newest)
+    mean, covariance = batch_oracle(states, rest, PLAIN)
+    difference = mean - np.array(output.newest.mean)
+    difference[2] = wrap_angle(difference[2])
+    assert np.abs(difference).max() < 1e-6
+    assert np.abs(covariance - unpack(output.newest.upper)).max() < 1e-6
+
+
+def matched_run(seed, config, seconds=16.0):
+    """Truth drawn from the filter's own model, linear in all but its motion; NEES per tenth second.
+
+    The car is fast and hardly turns, so that linearisation does not disturb the statistics.
+    """
+    rng = np.random.default_rng(seed)
+    qa = 2 * config.acceleration_mps2**2 * config.acceleration_time_s
+    qw = 2 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s
+    pose_r = np.diag([0.08**2, 0.06**2, 0.005**2])
+    state = np.array([0.0, 0.0, rng.uniform(-3, 3), 30.0, 0.0])
+    scale = rng.normal(0.0, config.speed_scale_sd)
+    offset = rng.normal(0.0, config.yaw_rate_offset_sd_radps)
+    output, errors, covariances, decided = OutputFilter(config), [], [], []
+    for step in range(int(seconds * 50)):
+        stamp, dt = step * 0.02, 0.02
+        if step:
+            noise = ctrv_process_noise(
+                state,
+                dt,
+                acceleration_m2ps3=qa,
+                yaw_acceleration_rad2ps3=qw,
+                lateral_m2ps=2
+                * config.slip_rad_per_mps2**2
+                * config.slip_time_s
+                * (state[3] ** 2 * state[4]) ** 2,
+                along_m2ps=2
+                * config.odometry_error_time_s
+                * (config.speed_error_share * state[3]) ** 2,
+                yaw_rad2ps=2 * config.odometry_error_time_s * config.yaw_rate_error_radps**2,
+            )
+            state = ctrv_step(state, dt)
+            state = state + np.linalg.cholesky(noise + 1e-18 * np.eye(5)) @ rng.normal(size=5)
+        if step % 3 == 0:
+            measured = state[:3] + np.sqrt(np.diag(pose_r)) * rng.normal(size=3)
+            output.pose(stamp, measured, pose_r)
+        output.odometry(
+            stamp + 1e-6,
+            state[3] * (1 + scale) + rng.normal(0.0, config.speed_sd_mps),
+            state[4] + offset + rng.normal(0.0, config.yaw_rate_sd_radps),
+        )
+        if stamp > 4.0 and step % 5 == 0:
+            newest = output.newest
+            errors.append(np.array(newest.mean[:3]))
+            covariances.append(unpack(newest.upper)[:3, :3])
+            decided.append(state[:3].copy())
+    return nees(np.array(errors), np.array(decided), np.array(covariances)).mean() / 3.0
+
+
+def test_with_matched_noise_the_filter_is_consistent():
+    """NEES averages 1 per degree of freedom; errors last about a second, so of 8 x 12 s some 100
+    independent samples of 3 degrees of freedom remain: sd about sqrt(2 / 300) = 0.08."""
+    config = OutputConfig(
+        pose_errors="independent",
+        pose_floor_m=0.0,
+        pose_floor_rad=0.0,
+        yaw_acceleration_radps2=0.05,
+        acceleration_mps2=0.5,
+        speed_scale_walk=0.0,
+        yaw_rate_offset_walk_radps=0.0,
+        gate=False,
+    )
+    mean = np.mean([matched_run(seed, config) for seed in range(8)])
+    assert abs(mean - 1.0) < 4 * 0.08
+
+
+def test_late_poses_cost_little_and_ignoring_their_delay_costs_much():
+    config = PLAIN
+    rms = {}
+    for name, latency in (("late", 0.11), ("at once", 1e-6)):
+        drive = point_drive(np.random.default_rng(4), duration_s=20.0, latency_s=latency)
+        stamps, means, _, _ = run(drive, config)
+        keep = stamps > 5.0
+        error = means[keep, :2] - drive.truth(stamps[keep])[:, :2]
+        rms[name] = math.sqrt((error**2).sum(axis=1).mean())
+    drive = point_drive(np.random.default_rng(4), duration_s=20.0)
+    ignored = [
+        (a, kind, replace(s, stamp_s=a) if kind == 1 else s) for a, kind, s in events_of(drive)
+    ]
+    stamps, means, _, _ = run(drive, config, ignored)
+    keep = stamps > 5.0
+    error = means[keep, :2] - drive.truth(stamps[keep])[:, :2]
+    rms["ignored"] = math.sqrt((error**2).sum(axis=1).mean())
+    assert rms["late"] < 1.15 * rms["at once"]
+    assert rms["ignored"] > 5.0 * rms["late"]
+
+
+def test_what_is_wrong_with_the_odometry_is_found():
+    drive = point_drive(
+        np.random.default_rng(2),
+        duration_s=30.0,
+        noise=PointNoise(speed_scale=0.0, yaw_rate_bias_radps=0.004),
+    )
+    scaled = tuple(replace(o, speed_mps=1.03 * o.speed_mps) for o in drive.odometry)
+    _, _, _, output = run(replace(drive, odometry=scaled), PLAIN)
+    state = output.newest
+    covariance = unpack(state.upper)
+    bias = np.mean([o.yaw_rate_radps for o in scaled]) - drive.states[:, 4].mean()
+    assert abs(state.mean[5] - 0.03) < 4 * math.sqrt(covariance[5, 5])
+    assert abs(state.mean[6] - bias) < 4 * math.sqrt(covariance[6, 6])
+    assert abs(abs(bias) - 0.004) < 0.0005
+
+
+def test_standing_still_learns_the_gyro_offset_and_does_not_turn():
+    output = OutputFilter(OutputConfig())
+    output.pose(0.0, np.array([1.0, 2.0, 0.5]), START)
+    rng = np.random.default_rng(1)
+    for step in range(1, 1500):
+        output.odometry(step * 0.02, 0.0, 0.004 + rng.normal(0.0, 0.002))
+    state = output.newest
+    assert np.allclose(state.mean[:3], [1.0, 2.0, 0.5], atol=2e-3)
+    assert state.mean[6] == pytest.approx(0.004, abs=4e-4)
+    assert math.sqrt(unpack(state.upper)[0, 0]) < 0.25
+
+
+def started_with_odometry(config, seconds=2.0, speed=10.0):
+    output = OutputFilter(config)
+    output.pose(0.0, np.array([0.0, 0.0, 0.0]), np.diag([0.01, 0.01, 1e-4]))
+    for step in range(1, round(seconds * 50) + 1):
+        output.odometry(step * 0.02, speed, 0.0)
+    return output
+
+
+def rejections(config, offsets, *, gnss=None):
+    """Poses off by the given lateral offsets at 20 Hz after two good seconds; the decisions."""
+    output = started_with_odometry(config, 0.02)
+    decisions, stamp = [], 0.0
+    for step in range(1, 40 + len(offsets)):
+        stamp = 0.05 * step
+        for part in range(3):
+            output.odometry(stamp - 0.05 + 0.05 * (part + 1) / 3, 10.0, 0.0)
+        offset = 0.0 if step < 40 else offsets[step - 40]
+        output.pose(
+            stamp + 1e-6, np.array([10.0 * stamp, offset, 0.0]), np.diag([0.0025, 0.0025, 1e-5])
+        )
+        decisions.append(output.newest.decision)
+        if gnss is not None and step % 10 == 0:
+            output.gnss(stamp + 2e-6, 10.0 * stamp + 1.0, gnss, 1.0)
+    return output, decisions[39:]
+
+
+def test_rejections_are_ignored_then_inflated_then_reinitialize():
+    config = OutputConfig()
+    output, decisions = rejections(config, [10.0] * 60)
+    changes = [decisions[0]] + [b for a, b in pairwise(decisions) if a != b]
+    assert changes == ["ignored", "inflated", "reinitialized", "accepted"]
+    assert decisions.index("inflated") * 0.05 == pytest.approx(config.inflate_after_s, abs=0.051)
+    counts = output.newest.counts
+    assert decisions.index("reinitialized") * 0.05 == pytest.approx(
+        config.reinitialize_after_s, abs=0.051
+    )
+    assert counts.reinitializations == 1
+    assert counts.gate_rejections == decisions.index("accepted")
+    assert counts.inflations == decisions.count("inflated")
+    assert output.newest.mean[1] == pytest.approx(10.0, abs=0.2)
+
+
+def test_poses_that_come_back_end_the_rejections_without_a_jump():
+    output, decisions = rejections(OutputConfig(), [10.0] * 20 + [0.0] * 20)
+    assert "reinitialized" not in decisions
+    assert decisions[-1] == "accepted"
+    assert abs(output.newest.mean[1]) < 0.05
+    assert output.newest.rival is None
+
+
+def test_gnss_vetoes_a_reinitialization_to_poses_that_it_contradicts():
+    output, decisions = rejections(OutputConfig(), [10.0] * 100, gnss=0.5)
+    assert "reinitialized" not in decisions
+    assert decisions.count("vetoed") == output.newest.counts.gnss_vetoes > 0
+    assert abs(output.newest.mean[1]) < 1.0
+
+
+def test_gnss_that_speaks_for_the_poses_does_not_veto():
+    _, decisions = rejections(OutputConfig(), [10.0] * 100, gnss=9.5)
+    assert "reinitialized" in decisions
+
+
+def test_inflation_is_bounded():
+    config = OutputConfig(reinitialize_after_s=1e6)
+    output, decisions = rejections(config, [10.0] * 200)
+    assert set(decisions) == {"ignored", "inflated"}, "10 m off for 10 s never passes the gate"
+    # the bound allows 1.5 m after ten seconds at 10 m/s, and dead reckoning has its own drift
+    assert math.sqrt(unpack(output.newest.upper)[1, 1]) < 3.5
+
+
+def test_the_gate_is_on_the_squared_distance():
+    """A pose just inside the gate is accepted, one just outside is not."""
+    config = OutputConfig(pose_errors="independent", pose_floor_m=0.0, pose_floor_rad=0.0)
+    limit = math.sqrt(chi_square_gate(config.pose_gate, 3))
+    for factor, decision in ((0.99, "accepted"), (1.01, "ignored")):
+        output = started_with_odometry(config)
+        state = output.newest
+        spread = unpack(state.upper)[1, 1] + 0.0025
+        pose = np.array([state.mean[0], state.mean[1] + factor * limit * math.sqrt(spread), 0.0])
+        # an angle and a position along that say nothing
+        output.pose(state.stamp_s + 1e-9, pose, np.diag([1e6, 0.0025, 1e6]))
+        assert output.newest.decision == decision
+        assert output.newest.nis == pytest.approx((factor * limit) ** 2, rel=0.01)
+
+
+def test_the_heading_is_wrapped_before_the_gate():
+    output = OutputFilter(OutputConfig())
+    output.pose(0.0, np.array([0.0, 0.0, math.pi - 0.01]), START)
+    output.pose(0.05, np.array([0.0, 0.0, -math.pi + 0.01]), START)
+    assert output.newest.decision == "accepted"
+    assert abs(abs(output.newest.mean[2]) - math.pi) < 0.02
+
+
+def test_wild_odometry_is_rejected_until_it_insists():
+    config = OutputConfig()
+    output = started_with_odometry(config)
+    for step in range(1, config.odometry_rejections_max + 1):
+        output.odometry(2.0 + 0.02 * step, 60.0, 0.0)
+        assert output.newest.mean[3] == pytest.approx(10.0, abs=0.5)
+    output.odometry(2.5, 60.0, 0.0)
+    assert output.newest.mean[3] > 50.0
+    assert output.newest.counts.odometry_rejections == config.odometry_rejections_max + 1
+
+
+def gnss_drive(seed, **changes):
+    drive = point_drive(np.random.default_rng(seed), duration_s=25.0, **changes)
+    events = [(o.arrival_s, 0, o) for o in drive.odometry]
+    events += [(fix.arrival_s, 2, fix) for fix in drive.gnss]
+    return drive, sorted(events, key=lambda event: event[:2])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gnss_starts_the_filter_once_the_heading_shows(seed):
+    drive, events = gnss_drive(seed)
+    stamps, means, covariances, output = run(drive, OutputConfig(), events)
+    assert output.started
+    true = drive.truth(stamps)
+    # at the start the heading is known to the configured sd, the position to that of GNSS
+    assert abs(wrap_angle(means[0, 2] - true[0, 2])) < 4 * math.sqrt(covariances[0, 2, 2])
+    assert math.sqrt(covariances[0, 2, 2]) <= OutputConfig().start_yaw_sd_rad + 0.01
+    assert np.hypot(*(means[:, :2] - true[:, :2]).T).max() < 4 * 2.5 * 1.5
+    assert output.newest.counts.gnss_accepted > 5
+
+
+def test_the_first_pose_that_fits_takes_over_from_gnss():
+    drive, events = gnss_drive(5)
+    output = OutputFilter(OutputConfig())
+    for _, kind, sample in events:
+        give(output, kind, sample)
+    stamp = output.newest.stamp_s
+    wrong = drive.truth(stamp)[0, :3] + [40.0, 0.0, math.pi]
+    output.pose(stamp + 0.01, wrong, np.diag([0.01, 0.01, 1e-4]))
+    assert output.newest.decision == "ignored"
+    true = drive.truth(stamp)[0, :3]
+    output.pose(stamp + 0.02, true, np.diag([0.01, 0.01, 1e-4]))
+    assert output.newest.decision == "started"
+    assert output.newest.counts.takeovers == 1
+    assert np.allclose(output.newest.mean[:2], true[:2], atol=0.01)
+
+
+def test_a_filter_that_gnss_contradicts_for_long_starts_anew():
+    drive, events = gnss_drive(6)
+    output = OutputFilter(OutputConfig())
+    output.pose(0.0, drive.truth(0.0)[0, :3] + [200.0, 0.0, 2.0], np.diag([0.01, 0.01, 1e-4]))
+    for _, kind, sample in events:
+        give(output, kind, sample)
+    assert output.newest.counts.gnss_restarts == 1
+    error = np.array(output.newest.mean[:2]) - drive.truth(output.newest.stamp_s)[0, :2]
+    assert np.hypot(*error) < 4 * 2.5 * 1.5
+
+
+def test_a_pose_older_than_the_horizon_is_dropped_and_changes_nothing():
+    output = started_with_odometry(OutputConfig(horizon_s=0.5))
+    before = output.newest
+    assert output.pose(1.4, np.zeros(3), START) is Placement.TOO_OLD
+    assert output.newest is before
+
+
+def test_odometry_before_the_first_pose_is_not_lost():
+    output = OutputFilter(OutputConfig())
+    for step in range(50):
+        output.odometry(step * 0.02, 10.0, 0.1)
+    output.pose(0.9, np.zeros(3), START)
+    assert output.newest.stamp_s == pytest.approx(0.98)
+    assert output.newest.mean[0] == pytest.approx(0.8, abs=0.01)
+
+
+def test_use_before_a_start_is_refused():
+    with pytest.raises(VehicleError, match="holds no state"):
+        OutputFilter(OutputConfig()).at(1.0)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "pose", "covariance", "problem"),
+    [
+        (0.0, [0.0, 0.0, 0.0], np.eye(3), None),
+        (math.nan, [0.0, 0.0, 0.0], np.eye(3), "not_finite"),
+        (0.0, [0.0, math.inf, 0.0], np.eye(3), "not_finite"),
+        (0.0, [0.0, 0.0, 0.0], np.diag([1.0, -1.0, 1.0]), "bad_covariance"),
+        (0.0, [0.0, 0.0, 0.0], np.full((3, 3), np.nan), "bad_covariance"),
+    ],
+)
+def test_poses_that_cannot_be_used_are_recognised(stamp, pose, covariance, problem):
+    assert usable_pose(stamp, np.array(pose), covariance) == problem
+
+
+def test_the_state_is_a_value():
+    state = FilterState(0.0, (0.0,) * 7, pack(np.eye(7)))
+    with pytest.raises(AttributeError):
+        state.stamp_s = 1.0  # type: ignore[misc]
