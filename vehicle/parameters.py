@@ -1,0 +1,107 @@
+"""What the models need to know of a car."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from math import isfinite, sqrt
+
+from vehicle.errors import VehicleError
+
+
+@dataclass(frozen=True, slots=True)
+class Car:
+    """Parameters of a single-track car; stiffness is per *tyre*, two tyres an axle.
+
+    Attributes:
+        name: what the command line calls it.
+        source: where the figures come from; a parameter without a source is a guess.
+        mass_kg: total mass.
+        yaw_inertia_kgm2: about the vertical axis through the centre of gravity.
+        cg_to_front_m: centre of gravity to front axle.
+        cg_to_rear_m: centre of gravity to rear axle.
+        front_stiffness_nprad: cornering stiffness of one front tyre.
+        rear_stiffness_nprad: cornering stiffness of one rear tyre.
+        preview_m: how far ahead of the centre of gravity the camera reads the lateral offset.
+        steering_offset_rad: road-wheel angle that the sensor shows when the car runs straight.
+        sideslip_point_m: how far ahead of the centre of gravity the side-slip reference sits.
+        rear_track_m: distance of the rear wheels; 0 if unknown.
+        wheel_radius_m: 0 if unknown.
+        motor_torque_limit_nm: of one in-wheel motor; 0 if there is none.
+    """
+
+    name: str
+    source: str
+    mass_kg: float
+    yaw_inertia_kgm2: float
+    cg_to_front_m: float
+    cg_to_rear_m: float
+    front_stiffness_nprad: float
+    rear_stiffness_nprad: float
+    preview_m: float = 0.0
+    steering_offset_rad: float = 0.0
+    sideslip_point_m: float = 0.0
+    rear_track_m: float = 0.0
+    wheel_radius_m: float = 0.0
+    motor_torque_limit_nm: float = 0.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name in ("name", "source"):
+                if not isinstance(value, str) or not value.strip():
+                    raise VehicleError(f"car: {item.name} is {value!r}, a text is needed")
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+                raise VehicleError(f"car {self.name}: {item.name} is {value!r}, not a number")
+        for name in POSITIVE:
+            if getattr(self, name) <= 0.0:
+                raise VehicleError(
+                    f"car {self.name}: {name} is {getattr(self, name)}, it must be positive"
+                )
+
+    @property
+    def wheelbase_m(self) -> float:
+        """Rear axle to front axle."""
+        return self.cg_to_front_m + self.cg_to_rear_m
+
+    @property
+    def critical_speed_mps(self) -> float:
+        """Speed above which an oversteering car is unstable; infinite for the others.
+
+        Source: root of det A, A the matrix of `single_track.lateral`.
+        """
+        k1 = self._moment_difference
+        if k1 <= 0.0:
+            return float("inf")
+        product = 2.0 * self.front_stiffness_nprad * 2.0 * self.rear_stiffness_nprad
+        return sqrt(product * self.wheelbase_m**2 / (self.mass_kg * k1))
+
+    @property
+    def _moment_difference(self) -> float:
+        return 2.0 * (
+            self.front_stiffness_nprad * self.cg_to_front_m
+            - self.rear_stiffness_nprad * self.cg_to_rear_m
+        )
+
+    def scaled(self, *, stiffness: float = 1.0, mass: float = 1.0) -> Car:
+        """The same car with all tyres `stiffness` times as stiff and `mass` times as heavy.
+
+        The radius of gyration stays, so the yaw inertia follows the mass.
+        """
+        return replace(
+            self,
+            mass_kg=self.mass_kg * mass,
+            yaw_inertia_kgm2=self.yaw_inertia_kgm2 * mass,
+            front_stiffness_nprad=self.front_stiffness_nprad * stiffness,
+            rear_stiffness_nprad=self.rear_stiffness_nprad * stiffness,
+        )
+
+
+POSITIVE = (
+    "mass_kg",
+    "yaw_inertia_kgm2",
+    "cg_to_front_m",
+    "cg_to_rear_m",
+    "front_stiffness_nprad",
+    "rear_stiffness_nprad",
+)

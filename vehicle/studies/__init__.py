@@ -1,0 +1,1 @@
+"""The source papers' simulations: what they claim, and what comes out."""
