@@ -13,7 +13,7 @@ from drivelog.frames import EarthFrame
 from polemap.align import NO_SHIFT, Shift, register
 from polemap.existence import Evidence, detection_probability, evidence, existence, visibility
 from polemap.history import COLUMN, OldMap, open_history, write_history
-from polemap.landmark_map import PoleMap
+from polemap.landmark_map import PoleMap, join_maps
 from polemap.mapping_config import MappingConfig
 from polemap.merge import Merged, merge_passes
 from polemap.observe import DriveObservations, join_apart, join_landmarks
@@ -21,6 +21,8 @@ from polemap.passes import PassLandmarks
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
+
+_NEIGHBOUR_M = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,8 @@ def assemble_map(
 ) -> BuiltMap:
     """Merge what drives observed; neither their order nor who computed them matters."""
     ordered = sorted(observed, key=lambda part: part.order)
+    if update is not None and update.doubtful is not None:
+        update = join_maps(update, update.doubtful)
     old = open_history(update) if update is not None and len(update) else None
     shifts = align_drives(ordered, old, config)
     if align:
@@ -56,8 +60,12 @@ def assemble_map(
     landmarks = join_landmarks(
         [part.landmarks for part in ordered] + ([old.landmarks] if old else [])
     )
-    apart = _all_apart(ordered, old)
-    merged = merge_passes(landmarks, config, apart)
+    stood = update.existence >= config.existence_min if update is not None else np.empty(0, bool)
+    apart = _all_apart(ordered, old, stood)
+    unresolved = [] if align else [shift.size_m for shift in shifts.values() if shift.significant]
+    # drives that are known to disagree make the map no better than they are
+    floor = float(np.sqrt(np.mean(np.square(unresolved)) / 2.0)) if unresolved else 0.0
+    merged = merge_passes(landmarks, config, apart, floor)
     evidences = _all_evidence(ordered, old, merged, config)
     built = _finish(landmarks, merged, evidences, old, update, config, frame)
     return replace(built, shifts=shifts, reports=_reports(ordered, shifts, align, merged))
@@ -86,22 +94,25 @@ def _solid(landmarks: PassLandmarks, config: MappingConfig) -> Floats:
     return landmarks.points_m[landmarks.observations >= config.observations_min]
 
 
-def _all_apart(ordered: Sequence[DriveObservations], old: OldMap | None) -> Whole:
+def _all_apart(
+    ordered: Sequence[DriveObservations], old: OldMap | None, stood: NDArray[np.bool_]
+) -> Whole:
     parts = [part.apart for part in ordered]
     lengths = [len(part.landmarks) for part in ordered]
     if old is not None:
-        parts.append(_decided_apart(old))
+        parts.append(_decided_apart(old, stood))
         lengths.append(len(old.landmarks))
     return join_apart(parts, lengths)
 
 
-def _decided_apart(old: OldMap) -> Whole:
-    """Neighbouring passes that the old map held to be two poles stay two."""
+def _decided_apart(old: OldMap, stood: NDArray[np.bool_]) -> Whole:
+    """Neighbouring passes that the old map held to be two standing poles stay two."""
     if not len(old.pole):
         return np.empty((0, 2), dtype=np.int64)
     pairs = KDTree(old.landmarks.points_m).query_pairs(2.0, output_type="ndarray").reshape(-1, 2)
     pairs = np.sort(pairs, axis=1)
-    return np.asarray(pairs[old.pole[pairs[:, 0]] != old.pole[pairs[:, 1]]], dtype=np.int64)
+    first, second = old.pole[pairs[:, 0]], old.pole[pairs[:, 1]]
+    return np.asarray(pairs[(first != second) & stood[first] & stood[second]], dtype=np.int64)
 
 
 def _all_evidence(
@@ -124,16 +135,26 @@ def _all_evidence(
     if old is not None:
         rows = merged.owner[start:]
         for name, when, counts in old.evidence:
-            drives.append((name, when, _carried(counts, old.pole, rows, len(merged))))
+            drives.append((name, when, _carried(counts, old, rows, merged.points_m)))
     return sorted(drives, key=lambda drive: (drive[1], drive[0]))
 
 
-def _carried(counts: Evidence, pole: Whole, cluster: Whole, n: int) -> Evidence:
-    """Counts at the old map's poles, at the clusters that their passes went to."""
+def _carried(counts: Evidence, old: OldMap, cluster: Whole, points: Floats) -> Evidence:
+    """Counts at the old map's poles, at the clusters that their passes went to.
+
+    Where the old map has no pole, its drives' looks are those at the nearest pole that it has: a
+    drive that had that one in view would have seen this one too, had it stood there.
+    """
+    n = len(points)
     seen, looks = np.zeros(n), np.zeros(n)
-    links = np.unique(np.stack([pole, cluster], axis=1), axis=0)
+    links = np.unique(np.stack([old.pole, cluster], axis=1), axis=0)
     np.add.at(seen, links[:, 1], counts.seen[links[:, 0]])
     np.add.at(looks, links[:, 1], counts.looks[links[:, 0]])
+    new = np.setdiff1d(np.arange(n), cluster)
+    if len(new) and len(cluster):
+        distance, row = KDTree(old.landmarks.points_m).query(points[new])
+        near = np.asarray(distance) <= _NEIGHBOUR_M
+        looks[new[near]] = counts.looks[old.pole[np.asarray(row)[near]]]
     return Evidence(seen, looks)
 
 
@@ -154,8 +175,9 @@ def _finish(
     stands = existence([counts for _, _, counts in drives], config, prior)
     observations = np.bincount(merged.owner, landmarks.observations, n).astype(np.int64)
     known = np.zeros(n, dtype=bool)
-    if old_rows is not None:
-        known[old_rows] = True
+    if old_rows is not None and old is not None and update is not None:
+        stood = update.existence >= config.existence_min
+        known[old_rows[stood[old.pole]]] = True
     solid = known | (observations >= config.observations_min)
     ids = _ids(merged, old, old_rows, update)
     every = PoleMap(
@@ -170,8 +192,28 @@ def _finish(
         existence=stands,
         extra=_evidence_columns(landmarks, merged.owner, drives, n),
     )
-    keep = solid & (stands >= config.existence_min)
-    return BuiltMap(every.rows(keep), every.rows(known & ~keep), {}, ())
+    # a pole that is known stays in doubt, a new one has to win it
+    keep = solid & np.where(
+        known, stands >= config.existence_min, stands > config.existence_min + 1e-6
+    )
+    every = _with_history(every, keep | solid, landmarks, merged.owner, drives)
+    doubtful = every.rows(solid & ~keep)
+    just_below = np.nextafter(config.existence_min, 0.0)
+    doubtful = replace(doubtful, existence=np.minimum(doubtful.existence, just_below))
+    standing = replace(every.rows(keep), doubtful=doubtful)
+    return BuiltMap(standing, every.rows(known & ~keep), {}, ())
+
+
+def _with_history(
+    every: PoleMap,
+    wanted: NDArray[np.bool_],
+    landmarks: PassLandmarks,
+    owner: Whole,
+    drives: list[tuple[str, float, Evidence]],
+) -> PoleMap:
+    """The map with the column `history`; empty for rows that nobody will see."""
+    history = write_history(landmarks, owner, drives, wanted)
+    return replace(every, extra={**every.extra, COLUMN: history})
 
 
 def _ids(
@@ -222,7 +264,6 @@ def _evidence_columns(
         "range_min_m": np.where(np.isfinite(nearest), nearest, np.nan),
         "width_sd_m": _weighted(landmarks.width_sd_m, landmarks.observations, owner, n),
         "seen_share": np.where(looks > 0, seen / np.where(looks > 0, looks, 1.0), np.nan),
-        COLUMN: write_history(landmarks, owner, drives, n),
     }
 
 
@@ -244,8 +285,8 @@ def _reports(
     error = merged.reference_error
     if error.pass_sd_m is not None:
         reports.append(
-            f"the reference repeats to {error.pass_sd_m:.3f} m between passes of a drive "
-            f"({error.pass_pairs} meetings), and to {error.drive_sd_m:.3f} m between drives "
-            f"({error.drive_pairs})"
+            "beyond the detector's own error, poles differ by "
+            f"{error.pass_sd_m:.3f} m between passes of a drive ({error.pass_pairs} meetings) "
+            f"and by {error.drive_sd_m:.3f} m between drives ({error.drive_pairs})"
         )
     return tuple(reports)

@@ -28,6 +28,7 @@ _BINS = 16
 _BATCH = 2000
 _ESTABLISHED = 10  # sightings in the drive from which a pole's presence is beyond doubt
 _PRIOR_SEEN, _PRIOR_LOOKS = 6.0, 10.0
+_POLES_MIN = 30  # fewer do not tell how visible poles are
 _MEMORY = 20.0  # looks that earlier drives count at most: visibility changes
 
 
@@ -142,16 +143,39 @@ def evidence(part: Visibility, detection: Floats) -> Evidence:
     return Evidence(seen, np.maximum(looks, seen))
 
 
-def drive_log_odds(drive: Evidence, before: Evidence | None, config: MappingConfig) -> Floats:
+def visibility_prior(drives: list[Evidence]) -> tuple[float, float]:
+    """Beta prior `(a, b)` of the share of looks that see a standing pole, from those that are seen.
+
+    Moments over all drives; Jeffreys' prior where too few poles tell.
+    """
+    share = np.concatenate(
+        [(d.seen / np.maximum(d.looks, 1e-9))[(d.looks >= 3.0) & (d.seen >= 1.5)] for d in drives]
+    )
+    if len(share) < _POLES_MIN:
+        return 0.5, 0.5
+    mean, variance = float(share.mean()), max(float(share.var()), 1e-4)
+    mean = min(max(mean, 0.05), 0.95)
+    strength = min(max(mean * (1.0 - mean) / variance - 1.0, 0.8), 10.0)
+    return mean * strength, (1.0 - mean) * strength
+
+
+def drive_log_odds(
+    drive: Evidence,
+    before: Evidence | None,
+    config: MappingConfig,
+    prior: tuple[float, float] = (0.5, 0.5),
+) -> Floats:
     """What one drive says about each pole, `(n,)`, limited to `drive_log_odds_max`.
 
     Poles differ in how visible they are (a bush before one, a hedge behind another), so that the
-    share that is seen is not known but drawn from a Beta distribution: Jeffreys' prior, sharpened
-    by what drives before have counted. Its marginal likelihood stands against chance sightings.
+    share that is seen is not known but drawn from a Beta distribution: that of all poles, sharpened
+    by what the drives before counted at this one, if they saw it at all. Its marginal likelihood
+    stands against chance sightings.
     """
-    a, b = np.full(len(drive.seen), 0.5), np.full(len(drive.seen), 0.5)
+    a, b = np.full(len(drive.seen), prior[0]), np.full(len(drive.seen), prior[1])
     if before is not None:
-        share = np.minimum(1.0, _MEMORY / np.maximum(before.looks, 1e-9))
+        # looks before it stood there say nothing about how visible it is
+        share = np.minimum(1.0, _MEMORY / np.maximum(before.looks, 1e-9)) * (before.seen > 0)
         a, b = a + share * before.seen, b + share * (before.looks - before.seen)
     false, missed = config.false_alarm_probability, drive.looks - drive.seen
     stands = betaln(a + drive.seen, b + missed) - betaln(a, b)
@@ -163,9 +187,10 @@ def drive_log_odds(drive: Evidence, before: Evidence | None, config: MappingConf
 def existence(drives: list[Evidence], config: MappingConfig, prior_log_odds: Floats) -> Floats:
     """Existence `(n,)` after drives in the order of time, each limited, the sum limited too."""
     total = np.array(prior_log_odds, dtype=np.float64)
+    prior = visibility_prior(drives)
     before: Evidence | None = None
     for drive in drives:
-        odds = drive_log_odds(drive, before, config)
+        odds = drive_log_odds(drive, before, config, prior)
         total = np.clip(total + odds, -config.log_odds_max, config.log_odds_max)
         before = (
             drive

@@ -53,14 +53,18 @@ def write_history(
     landmarks: PassLandmarks,
     owner: Whole,
     drives: Sequence[tuple[str, float, Evidence]],
-    count: int,
+    wanted: NDArray[np.bool_],
 ) -> NDArray[np.str_]:
-    """The column `history` `(count,)` for poles that own the landmarks."""
+    """The column `history` `(n,)` for poles that own the landmarks; empty where not `wanted`."""
     texts: list[str] = []
+    count = len(wanted)
     order = np.argsort(owner, kind="stable")
     bounds = np.searchsorted(owner[order], np.arange(count + 1))
     values = _pass_values(landmarks)
     for pole in range(count):
+        if not wanted[pole]:
+            texts.append("")
+            continue
         rows = order[bounds[pole] : bounds[pole + 1]]
         entries = []
         for name, start, seen in drives:

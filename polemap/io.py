@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from polemap.formats.columns import KNOWN, from_columns, to_columns
 from polemap.landmark_map import PoleMap
 
 LAYER = "poles"
+DOUBTFUL = "doubtful"
 
 
 def check_writable(path: Path) -> None:
@@ -91,6 +93,12 @@ def read_map(path: Path, frame: EarthFrame | None = None, *, allow_empty: bool =
 
 
 def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
+    _write_layer(pole_map, path, LAYER)
+    if pole_map.doubtful is not None and len(pole_map.doubtful):
+        _write_layer(pole_map.doubtful, path, DOUBTFUL)
+
+
+def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
     frame = pole_map.frame
     points = shapely.points(pole_map.points_m)
     table = geopandas.GeoDataFrame(
@@ -101,7 +109,7 @@ def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
         # a local frame has no reference system that other programs know; the metadata name it
         warnings.filterwarnings("ignore", message="'crs' was not provided")
         pyogrio.write_dataframe(
-            table, path, layer=LAYER, driver="GPKG", geometry_type="Point", layer_metadata=metadata
+            table, path, layer=layer, driver="GPKG", geometry_type="Point", layer_metadata=metadata
         )
 
 
@@ -109,10 +117,17 @@ def _read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
     try:
         layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
         layer = LAYER if LAYER in layers else layers[0]
-        ours = (pyogrio.read_info(path, layer=layer).get("layer_metadata") or {}).get("polemap")
-        table = pyogrio.read_dataframe(path, layer=layer)
+        pole_map = _read_layer(path, layer, frame)
+        if layer == LAYER and DOUBTFUL in layers:
+            return replace(pole_map, doubtful=_read_layer(path, DOUBTFUL, frame))
+        return pole_map
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, IndexError) as error:
         raise InputError(f"{path}: not a GeoPackage with a layer of points ({error})") from error
+
+
+def _read_layer(path: Path, layer: str, frame: EarthFrame | None) -> PoleMap:
+    ours = (pyogrio.read_info(path, layer=layer).get("layer_metadata") or {}).get("polemap")
+    table = pyogrio.read_dataframe(path, layer=layer)
     if not isinstance(table, geopandas.GeoDataFrame) or (table.geom_type != "Point").any():
         raise InputError(f"{path}: layer '{layer}' does not hold points only")
     own = EarthFrame.from_dict(json.loads(ours)["frame"]) if ours else None

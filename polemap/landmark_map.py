@@ -38,6 +38,7 @@ class PoleMap:
         existence: `(n,)` probability that it stands there, 0 to 1.
         extra: further columns `(n,)`, kept by every format (evidence, history).
         notes: what a user of the map must know (a frame that was assumed, say).
+        doubtful: poles that were removed, or that await proof; kept for the next update only.
 
     Raises:
         InputError: arrays of unequal length, coordinates or covariances that are not finite,
@@ -55,6 +56,7 @@ class PoleMap:
     existence: Floats
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    doubtful: PoleMap | None = None
     _tree: KDTree | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -202,5 +204,31 @@ class PoleMap:
             points_m=points,
             covariance_m2=covariance,
             notes=(*self.notes, note),
+            doubtful=self.doubtful.to_frame(frame) if self.doubtful is not None else None,
             _tree=None,
         )
+
+
+def join_maps(first: PoleMap, second: PoleMap) -> PoleMap:
+    """The rows of two maps of one frame, one after the other; extra columns that both have."""
+
+    def both(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(first, name), getattr(second, name)])
+
+    return PoleMap(
+        frame=first.frame,
+        ids=both("ids"),
+        points_m=both("points_m"),
+        covariance_m2=both("covariance_m2"),
+        width_m=both("width_m"),
+        height_m=both("height_m"),
+        observations=both("observations"),
+        drives=both("drives"),
+        existence=both("existence"),
+        extra={
+            name: np.concatenate([values, second.extra[name]])
+            for name, values in first.extra.items()
+            if name in second.extra
+        },
+        notes=(*first.notes, *second.notes),
+    )

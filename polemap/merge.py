@@ -7,7 +7,7 @@ where passes or drives meet, and taken as the reference states it where they do 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,15 +140,19 @@ def measure_reference(
     )
 
 
-def merge_passes(landmarks: PassLandmarks, config: MappingConfig, apart: Whole) -> Merged:
+def merge_passes(
+    landmarks: PassLandmarks, config: MappingConfig, apart: Whole, drive_floor_m: float = 0.0
+) -> Merged:
     """Join landmarks that are one pole and fuse them; the result does not depend on their order.
 
     Args:
         landmarks: of all drives.
         config: settings.
         apart: pairs `(k, 2)` of rows, smaller first, that were seen side by side.
+        drive_floor_m: what drives are known to disagree by at least, an axis.
     """
     error = measure_reference(landmarks, config, apart)
+    error = replace(error, drive_sd_m=max(error.drive_sd_m, drive_floor_m))
     owner = cluster(landmarks, config, apart, error)
     points, covariance = fuse(landmarks, owner, config, error)
     return Merged(points, covariance, owner, error)

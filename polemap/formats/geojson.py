@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,11 +41,10 @@ def to_document(pole_map: PoleMap) -> dict[str, Any]:
         }
         for row in range(len(pole_map))
     ]
-    return {
-        "type": "FeatureCollection",
-        "polemap": {"format_version": 1, "frame": pole_map.frame.to_dict()},
-        "features": features,
-    }
+    ours: dict[str, Any] = {"format_version": 1, "frame": pole_map.frame.to_dict()}
+    if pole_map.doubtful is not None and len(pole_map.doubtful):
+        ours["doubtful"] = to_document(pole_map.doubtful)
+    return {"type": "FeatureCollection", "polemap": ours, "features": features}
 
 
 def _plain(column: NDArray[Any]) -> list[Any]:
@@ -81,7 +81,10 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
             positions = np.array([[p.get("east_m"), p.get("north_m")] for p in properties], float)
         elif own_frame.is_utm:
             positions = grid_from_geographic(own_frame, positions[:, 1], positions[:, 0])
-        return _build(own_frame, positions, properties, notes)
+        pole_map = _build(own_frame, positions, properties, notes)
+        if "doubtful" in ours:
+            return replace(pole_map, doubtful=from_document(ours["doubtful"], frame))
+        return pole_map
     return from_inventory(positions, properties, frame, notes)
 
 

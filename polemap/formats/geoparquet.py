@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from pyproj import CRS
 
 from drivelog.errors import InputError
 from drivelog.frames import EarthFrame
+from polemap.formats import geojson
 from polemap.formats.columns import KNOWN, from_columns, to_columns
 from polemap.landmark_map import PoleMap
 
@@ -40,7 +42,9 @@ def to_table(pole_map: PoleMap) -> pa.Table:
     if len(pole_map):
         low, high = pole_map.points_m.min(axis=0), pole_map.points_m.max(axis=0)
         geo["columns"]["geometry"]["bbox"] = [*low.tolist(), *high.tolist()]
-    ours = {"format_version": 1, "frame": frame.to_dict()}
+    ours: dict[str, Any] = {"format_version": 1, "frame": frame.to_dict()}
+    if pole_map.doubtful is not None and len(pole_map.doubtful):
+        ours["doubtful"] = geojson.to_document(pole_map.doubtful)
     return table.replace_schema_metadata({"geo": json.dumps(geo), "polemap": json.dumps(ours)})
 
 
@@ -84,7 +88,10 @@ def from_table(table: pa.Table, frame: EarthFrame | None) -> PoleMap:
         values = _numpy(table.column(column))
         if values is not None:
             (columns if column in KNOWN else extra)[column] = values
-    return from_columns(own, points, columns, extra=extra)
+    pole_map = from_columns(own, points, columns, extra=extra)
+    if "doubtful" in ours:
+        return replace(pole_map, doubtful=geojson.from_document(ours["doubtful"], frame))
+    return pole_map
 
 
 def _frame_of(crs: Any, frame: EarthFrame | None) -> EarthFrame:
