@@ -30,11 +30,15 @@ class DetectionConfig(BaseModel):
     base_max_m: float = Field(2.2, gt=0.0, description="Greatest height of the lowest evidence.")
     hypotheses_max: int = Field(80, ge=1, le=1000)
     probability_min: float = Field(0.5, ge=0.0, le=1.0, description="Least to be a detection.")
-    disparity_sd_px: float = Field(0.35, gt=0.0, description="Error that a whole stem shares.")
+    refine_probability: float = Field(
+        0.15, ge=0.0, le=1.0, description="From here on the disparity is fitted to the images."
+    )
+    disparity_sd_px: float = Field(0.2, gt=0.0, description="Error that a whole stem shares.")
+    matcher_sd_px: float = Field(0.25, ge=0.0, description="More of it without the fit.")
     column_sd_px: float = Field(0.7, gt=0.0, description="Error of a stem's centre column.")
     across_sd_m: float = Field(0.03, ge=0.0, description="Of the axis at ground level, sideways.")
-    axis_share: float = Field(0.4, ge=0.0, le=1.0, description="Axis behind surface, in widths.")
-    axis_sd_share: float = Field(0.25, ge=0.0, le=1.0)
+    axis_share: float = Field(0.3, ge=0.0, le=1.0, description="Axis behind surface, in widths.")
+    axis_sd_share: float = Field(0.15, ge=0.0, le=1.0)
 
 
 class TrackingConfig(BaseModel):

@@ -13,8 +13,9 @@ from polemap.config import DetectionConfig
 from polemap.features import Profiles, measure
 from polemap.ground import Ground, fit_ground
 from polemap.hypotheses import Stems, find_slices, find_stems
+from polemap.refine import refine_disparity
 from polemap.visibility import visible_region
-from stereo.depth_edges import DepthEdges, depth_edges
+from stereo.depth_edges import DepthEdges, depth_edges, upright_maps
 from stereo.matching import DisparityPair
 from stereo.rig import StereoRig
 
@@ -70,7 +71,8 @@ class FrameView:
 
 
 def detect(
-    image: Image,
+    left: Image,
+    right: Image,
     disparity: DisparityPair,
     rig: StereoRig,
     classifier: PoleClassifier | None,
@@ -79,7 +81,7 @@ def detect(
     """Find the poles of one frame.
 
     Args:
-        image: left view.
+        left, right: the rectified pair.
         disparity: both checked maps.
         rig: its camera.
         classifier: says how likely a hypothesis is a pole; without one, as for training, all
@@ -87,17 +89,32 @@ def detect(
         config: settings.
     """
     focal_baseline = rig.focal_px * rig.baseline_m
-    ground = fit_ground(disparity.left, rig)
-    edges = depth_edges(
-        disparity, config.row_step_px, config.step_min_px, config.step_min_m / focal_baseline
-    )
+    maps = upright_maps(disparity, config.row_step_px)
+    ground = fit_ground(maps, rig)
+    edges = depth_edges(maps, config.step_min_px, config.step_min_m / focal_baseline)
     stems = find_stems(find_slices(*edges, rig, config), ground, rig, config)
-    profiles = measure(stems, disparity, image, ground, rig, config.row_step_px)
+    profiles = measure(stems, maps, left, ground, rig)
     probability = np.full(len(stems), 0.5)
     if classifier is not None:
         probability = classifier.probability(profiles.features)
-    region = visible_region(disparity.left, ground, rig, config)
-    found = _locate(stems, profiles, probability, rig, config)
+    region = visible_region(maps, ground, rig, config)
+    likely = probability >= config.refine_probability
+    refined, refined_sd = profiles.disparity_px.copy(), profiles.disparity_sd_px.copy()
+    fit = refine_disparity(
+        left,
+        right,
+        profiles.left_px[likely],
+        profiles.right_px[likely],
+        stems.top_px[likely],
+        stems.bottom_px[likely],
+        stems.slope[likely],
+        refined[likely],
+    )
+    refined[likely] = fit.disparity_px
+    # the matcher's own value, where the fit failed, is worth less than it claims
+    refined_sd = np.hypot(refined_sd, config.matcher_sd_px)
+    refined_sd[likely] = np.where(fit.trusted, fit.sd_px, refined_sd[likely])
+    found = _locate(stems, profiles, refined, refined_sd, probability, rig, config)
     distance = np.hypot(*(found.points_vehicle_m - region.origin_vehicle_m).T)
     found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
     found = _suppress(found) if classifier is not None else found
@@ -105,11 +122,16 @@ def detect(
 
 
 def _locate(
-    stems: Stems, profiles: Profiles, probability: Floats, rig: StereoRig, config: DetectionConfig
+    stems: Stems,
+    profiles: Profiles,
+    disparity: Floats,
+    disparity_sd: Floats,
+    probability: Floats,
+    rig: StereoRig,
+    config: DetectionConfig,
 ) -> Detections:
     """Axis at ground level in the vehicle frame, with the covariance of the stereo error model."""
     focal_baseline = rig.focal_px * rig.baseline_m
-    disparity = profiles.disparity_px
     width_m = (profiles.right_px - profiles.left_px) * rig.baseline_m / disparity
     # what is matched is the front of a cylinder: on average 0.8 radii before its axis
     axis_m = config.axis_share * width_m
@@ -119,7 +141,7 @@ def _locate(
     # the foot's row belongs to the surface's depth; the axis stands at the same height
     camera[:, 1] *= surface / (surface + axis_m)
     points = rig.vehicle_points(camera)[:, :2]
-    sd_disparity = np.hypot(config.disparity_sd_px, profiles.disparity_sd_px)
+    sd_disparity = np.hypot(config.disparity_sd_px, disparity_sd)
     sd_range = np.hypot(surface**2 / focal_baseline * sd_disparity, config.axis_sd_share * width_m)
     sd_column = np.hypot(config.column_sd_px, profiles.flank_sd_px / np.sqrt(2.0))
     sd_across = np.hypot(surface / rig.focal_px * sd_column, config.across_sd_m)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from polemap.ground import Ground
 from polemap.hypotheses import Stems
-from stereo.matching import DisparityPair
+from stereo.depth_edges import UprightMaps
 from stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
@@ -93,11 +93,10 @@ class Profiles:
 
 def measure(
     stems: Stems,
-    disparity: DisparityPair,
+    maps: UprightMaps,
     image: NDArray[np.uint8] | NDArray[np.uint16],
     ground: Ground,
     rig: StereoRig,
-    row_step_px: int,
 ) -> Profiles:
     """Features and refined geometry of every hypothesis."""
     n = len(stems)
@@ -111,20 +110,21 @@ def measure(
     centre = (stems.column_px + shift)[:, None] + stems.slope[:, None] * (
         rows - stems.row_px[:, None]
     )
+    at_rows = rows / maps.row_step_px
     tolerance = 0.8 + 0.3 * stems.disparity_px**2 / (rig.focal_px * rig.baseline_m)
     free_px = np.maximum(_FAR_M * stems.disparity_px**2 / (rig.focal_px * rig.baseline_m), 0.8)
     inside_at = centre[:, :, None] + INSIDE * width_px[:, None, None]
-    inside = _sample(disparity.left, rows, inside_at)
+    inside = _sample(maps.left, at_rows, inside_at)
     out = width_px[:, None] / 2 + _CLEAR_PX + BESIDE_M * per_m[:, None]
-    right = _sample(disparity.left, rows, centre[:, :, None] + out[:, None, :])
+    right = _sample(maps.left, at_rows, centre[:, :, None] + out[:, None, :])
     left = _sample(
-        disparity.right,
-        rows,
+        maps.right,
+        at_rows,
         centre[:, :, None] - stems.disparity_px[:, None, None] - out[:, None, :],
     )
     d = stems.disparity_px[:, None, None]
     tol, free = tolerance[:, None, None], free_px[:, None, None]
-    height, width = disparity.left.shape
+    height, width = maps.height_px, maps.left.shape[1]
     visible = (rows >= 0) & (rows <= height - 1)
     with np.errstate(invalid="ignore"):
         match = np.abs(inside - d) <= tol
@@ -144,7 +144,7 @@ def measure(
     extent_m = np.maximum(top_m - base_m, 0.05)
     width_m = width_px / per_m
     range_m = rig.focal_px * rig.baseline_m / stems.disparity_px
-    slices_full = np.maximum((stems.bottom_px - stems.top_px) / row_step_px + 1.0, 1.0)
+    slices_full = np.maximum((stems.bottom_px - stems.top_px) / maps.row_step_px + 1.0, 1.0)
     lateral = (stems.column_px - rig.cx_px) / rig.focal_px * range_m
     close = (np.abs(lateral[:, None] - lateral) < 1.5) & (np.abs(range_m[:, None] - range_m) < 2.0)
     border = (left_px < 3.0 + stems.disparity_px) | (right_px > width - 4.0)
@@ -200,13 +200,13 @@ def measure(
 
 
 def _sample(disparity: NDArray[np.float32], rows: Floats, columns: Floats) -> Floats:
-    """Nearest disparity at `rows` `(n, h)` and `columns` `(n, h, k)`; NaN outside."""
+    """Nearest disparity at `rows` `(n, h)` and `columns` `(n, h, k)`; NaN where there is none."""
     height, width = disparity.shape
     v = np.rint(rows).astype(np.int64)[:, :, None]
     u = np.rint(columns).astype(np.int64)
     inside = (v >= 0) & (v < height) & (u >= 0) & (u < width)
     value = disparity[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
-    return np.where(inside, value, np.nan).astype(np.float64)
+    return np.where(inside & (value > 0), value, np.nan).astype(np.float64)
 
 
 def _robust(samples: Floats, fallback: Floats) -> tuple[Floats, Floats, Floats]:

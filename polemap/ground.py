@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereo.depth_edges import UprightMaps
 from stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
@@ -53,12 +54,15 @@ def ground_from_mounting(rig: StereoRig) -> Ground:
     )
 
 
-def fit_ground(disparity: NDArray[np.float32], rig: StereoRig) -> Ground:
-    """The road plane of a checked left disparity map; the mounting's plane where it shows none."""
+def fit_ground(maps: UprightMaps, rig: StereoRig) -> Ground:
+    """The road plane in the left view; the mounting's plane where it shows none."""
     ground = ground_from_mounting(rig)
-    rows = np.arange(disparity.shape[0] // 2, disparity.shape[0], 4)
-    columns = np.arange(0, disparity.shape[1], 8)
-    grid = disparity[rows[0] :: 4, ::8]
+    step = maps.row_step_px
+    thin = max(1, 4 // step)
+    first = maps.left.shape[0] // 2
+    grid = maps.left[first::thin, ::8]
+    rows = np.arange(first, maps.left.shape[0], thin) * step
+    columns = np.arange(0, maps.left.shape[1], 8)
     at_row, at_column = np.nonzero(grid > 0)
     d = grid[at_row, at_column].astype(np.float64)
     u, v = columns[at_column].astype(np.float64), rows[at_row].astype(np.float64)

@@ -148,13 +148,12 @@ def _link(slices: Slices, rig: StereoRig, config: DetectionConfig) -> tuple[Ints
     cells = np.full((int(row.max()) + _ROWS_APART + 1) * width, -1, dtype=np.int64)
     at = row * width + column
     cells[at] = np.arange(n)
-    pairs = []
-    for down in range(1, _ROWS_APART + 1):
-        for aside in range(-_REACH_PX, _REACH_PX + 1):
-            other = cells[at + down * width + aside]
-            one = np.flatnonzero(other >= 0)
-            pairs.append(np.stack([one, other[one]]))
-    one, two = np.concatenate(pairs, axis=1)
+    down, aside = np.meshgrid(
+        np.arange(1, _ROWS_APART + 1), np.arange(-_REACH_PX, _REACH_PX + 1), indexing="ij"
+    )
+    other = cells[at[:, None] + (down * width + aside).ravel()]
+    one, which = np.nonzero(other >= 0)
+    two = other[one, which]
     alike = np.abs(slices.disparity_px[one] - slices.disparity_px[two]) <= (
         0.75 + 0.03 * slices.disparity_px[one]
     )

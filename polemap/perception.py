@@ -106,7 +106,9 @@ class PolePerception:
             raise InputError("perception: a stereo frame came, but the drive has no camera")
         if self._classifier is None:
             self._classifier = read_classifier(self._config.detection.model)
-        view = detect(frame.left, disparity, self._rig, self._classifier, self._config.detection)
+        view = detect(
+            frame.left, frame.right, disparity, self._rig, self._classifier, self._config.detection
+        )
         found = view.detections
         sighting = Sighting(
             frame.stamp_s,

@@ -128,7 +128,7 @@ def collect(
             continue
         frame = drive.read_frame(row)
         disparity = matcher.match(frame.left, frame.right)
-        found = detect(frame.left, disparity, drive.rig, None, detection).detections
+        found = detect(frame.left, frame.right, disparity, drive.rig, None, detection).detections
         points = Pose2D(*poses[row]).transform(found.points_vehicle_m)
         slack = config.per_range * np.hypot(*found.points_vehicle_m.T)
         nearest, distance = _nearest(points, pole_map.points_m)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivelog.samples import VisibleRegion
 from polemap.config import DetectionConfig
 from polemap.ground import Ground
+from stereo.depth_edges import UprightMaps
 from stereo.rig import StereoRig
 
 _BINS = 64
@@ -20,7 +20,7 @@ _BORDER_PX = 6.0
 
 
 def visible_region(
-    disparity: NDArray[np.float32], ground: Ground, rig: StereoRig, config: DetectionConfig
+    maps: UprightMaps, ground: Ground, rig: StereoRig, config: DetectionConfig
 ) -> VisibleRegion:
     """The sector of the left view that both cameras see, with the free range of each bearing.
 
@@ -28,7 +28,7 @@ def visible_region(
     which the nearest 60 % of them end is where a pole behind would be hidden. Pixels without
     disparity hide nothing: they say nothing.
     """
-    height, width = disparity.shape
+    height, width = maps.left.shape
     mount = rig.vehicle_from_camera
     # a column maps to a bearing by the mounting; right is negative
     edge_px = np.array([width - 1 - _BORDER_PX, _BORDER_PX])
@@ -41,10 +41,10 @@ def visible_region(
     rows = ground.row_px(columns, np.full(len(columns), at))[:, None] - _HEIGHTS_M * (
         at / rig.baseline_m
     )
-    v = np.rint(rows).astype(np.int64)
+    v = np.rint(rows / maps.row_step_px).astype(np.int64)
     u = np.clip(np.rint(columns).astype(np.int64), 0, width - 1)[:, None]
-    seen = disparity[np.clip(v, 0, height - 1), u]
-    seen = np.where((v >= 0) & (v < height) & (seen > 0), seen, 0.0)
+    seen = maps.left[np.clip(v, 0, height - 1), u]
+    seen = np.where((v >= 0) & (v < height), seen, 0.0)
     ordered = np.sort(seen.reshape(_BINS, -1), axis=1)
     blocking = ordered[:, int(_FREE_SHARE * ordered.shape[1])]
     forward = rig.focal_px * rig.baseline_m / np.maximum(blocking, 1e-3)

@@ -1,0 +1,190 @@
+"""`polemap detect`: disparity, hypotheses and tracks of the frames of a drive."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from drivelog.atomic import atomic_folder
+from drivelog.drive import Drive, open_drive
+from drivelog.errors import ConfigError, InputError
+from drivelog.samples import OdometrySample, StereoFrame
+from polemap.evaluation import FrameRecord, Score, record, score_frames, score_tracks
+from polemap.io import read_map
+from polemap.landmark_map import PoleMap
+from polemap.perception import Look, PolePerception, samples_to_see
+from tools.detect_pictures import write_overlay
+from tools.progress import progress
+from tools.settings import ConfigOption, SetOption, Settings, load_settings
+from vehicle.pose import Pose2D
+
+_COLUMNS = (
+    *("frame", "stamp_s", "left_px", "right_px", "top_px", "bottom_px", "disparity_px"),
+    *("x_m", "y_m", "width_m", "height_m", "probability", "track"),
+)
+_BANDS_M = ((5.0, 20.0), (5.0, 10.0), (10.0, 15.0), (15.0, 20.0), (20.0, 25.0))
+
+
+def command(
+    drive: Annotated[Path, typer.Argument(help="Drive with stereo images.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder that appears.")],
+    frames: Annotated[
+        str, typer.Option("--frames", help="A:B, rows of the drive from A up to but without B.")
+    ] = ":",
+    pictures: Annotated[bool, typer.Option("--pictures", help="Write overlay pictures.")] = False,
+    evaluate: Annotated[
+        Path | None, typer.Option("--evaluate", help="Score against this pole map.")
+    ] = None,
+    unmapped: Annotated[
+        Path | None, typer.Option("--unmapped", help="Map of true poles that that map lacks.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Of sensors that have to be derived.")] = 0,
+    config: ConfigOption = None,
+    set_values: SetOption = None,
+) -> None:
+    """Find the poles in the frames of a drive.
+
+    Examples:
+      polemap detect drive --out found --frames 0:50 --pictures
+      polemap detect kitti/sequences/03 --out found --evaluate kitti/poles/03.csv
+      polemap detect drive --out found --set polemap.detection.probability_min=0.7
+
+    detections.csv has a row for every hypothesis with its probability; `track` is -1 where it
+    belongs to none. Pictures show depth edges, hypotheses (green: a pole), track ids and the
+    disparity, and from above the view, the uncertainties and the map.
+    """
+    settings = load_settings(config, set_values)
+    opened = open_drive(drive, seed=seed)
+    if opened.rig is None or not opened.has_frames:
+        raise InputError(f"drive {opened.name}: it has no stereo images to look at")
+    wanted = _range(frames, len(opened.frame_stamps_s))
+    known = read_map(evaluate, opened.frame) if evaluate else None
+    lacking = read_map(unmapped, opened.frame).points_m if unmapped else None
+    if evaluate and opened.reference is None:
+        raise InputError(f"drive {opened.name}: it has no reference to place a map by")
+    with atomic_folder(out) as folder:
+        records = _look(opened, wanted, settings, folder, pictures, known)
+    if known is not None:
+        config_min = settings.polemap.detection
+        scores = score_frames(records, known, _BANDS_M, lacking)
+        tracks = score_tracks(records, known, _BANDS_M[0], lacking)
+        _tell(scores, tracks, config_min.probability_min)
+
+
+def _range(text: str, count: int) -> range:
+    first, colon, last = text.partition(":")
+    try:
+        start = int(first) if first else 0
+        stop = int(last) if last else count
+    except ValueError as error:
+        raise ConfigError(f"--frames {text}: expected A:B, such as 0:50") from error
+    if not colon or start < 0 or not start < stop:
+        raise ConfigError(f"--frames {text}: expected A:B with 0 <= A < B")
+    if start >= count:
+        raise ConfigError(f"--frames {text}: the drive has {count} frames")
+    return range(start, min(stop, count))
+
+
+def _look(
+    drive: Drive,
+    wanted: range,
+    settings: Settings,
+    folder: Path,
+    pictures: bool,
+    known: PoleMap | None,
+) -> list[FrameRecord]:
+    """Write the table and the pictures; the records are for scoring."""
+    stamps = drive.frame_stamps_s
+    last = np.nextafter(stamps[wanted[-1]], np.inf)
+    part = drive.between(float(stamps[wanted[0]]), float(last))
+    records: list[FrameRecord] = []
+    rig = drive.rig
+    if rig is None:
+        return records
+    perception = PolePerception(rig, settings.polemap, stereo=settings.stereo)
+    with (
+        (folder / "detections.csv").open("w", newline="", encoding="utf-8") as file,
+        progress(len(wanted), f"poles of {drive.name}") as advance,
+    ):
+        table = csv.writer(file)
+        table.writerow(_COLUMNS)
+        for sample in samples_to_see(part):
+            if isinstance(sample, OdometrySample):
+                perception.push_odometry(sample)
+                continue
+            if not isinstance(sample, StereoFrame):
+                continue
+            look = perception.look(sample)
+            table.writerows(_rows(look))
+            pose = drive.reference.at(np.array([sample.stamp_s]))[0] if drive.reference else None
+            placed = pose is not None and bool(np.isfinite(pose).all())
+            mapped = None
+            if known is not None and pose is not None and placed:
+                records.append(record(look, pose, known, rig, settings.polemap.detection))
+                near = known.within(pose[:2], 40.0)
+                mapped = Pose2D(*pose).inverse().transform(known.points_m[near])
+            if pictures:
+                name = folder / f"{sample.index:06d}.png"
+                sure = settings.polemap.detection.probability_min
+                write_overlay(name, look, rig, sure, mapped)
+            advance(1)
+    return records
+
+
+def _rows(look: Look) -> list[list[Any]]:
+    found = look.view.detections
+    track = np.full(len(found), -1)
+    taken = look.tracks.detection >= 0
+    track[look.tracks.detection[taken]] = look.tracks.ids[taken]
+    return [
+        [
+            look.frame.index,
+            f"{look.frame.stamp_s:.6f}",
+            *(
+                f"{value[row]:.2f}"
+                for value in (found.left_px, found.right_px, found.top_px, found.bottom_px)
+            ),
+            f"{found.disparity_px[row]:.3f}",
+            *(f"{value:.4f}" for value in found.points_vehicle_m[row]),
+            f"{found.width_m[row]:.4f}",
+            f"{found.height_m[row]:.3f}",
+            f"{found.probability[row]:.4f}",
+            int(track[row]),
+        ]
+        for row in range(len(found))
+    ]
+
+
+def _tell(scores: list[Score], tracks: Score, probability_min: float) -> None:
+    """The scores as a table on stdout."""
+    table = Table(title=f"against the map (probability >= {probability_min:g}, match within 1 m)")
+    heads = (
+        "range m", "shown", "recall", "claims", "precision", "with unmapped",
+        "across m", "(bias)", "along m", "(bias)",
+    )  # fmt: skip
+    for head in heads:
+        table.add_column(head, justify="right")
+    named = [(f"{s.range_min_m:g}-{s.range_max_m:g}", s) for s in scores]
+    named.append((f"tracks {tracks.range_min_m:g}-{tracks.range_max_m:g}", tracks))
+    for name, score in named:
+        figures = score.figures()
+        table.add_row(
+            name,
+            str(score.shown),
+            f"{figures['recall']:.3f}",
+            str(score.claims),
+            f"{figures['precision']:.3f}",
+            f"{figures['precision_with_unmapped']:.3f}",
+            f"{figures['across_median_m']:.3f}",
+            f"{figures['across_bias_m']:+.3f}",
+            f"{figures['along_median_m']:.3f}",
+            f"{figures['along_bias_m']:+.3f}",
+        )
+    Console(file=sys.stdout, width=110).print(table)
