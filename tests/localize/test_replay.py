@@ -1,0 +1,205 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from drivelog.errors import FrameError, InputError
+from drivelog.frames import EarthFrame
+from localize.config import LocalizeConfig
+from localize.io import HEALTH_COLUMNS, read_tum, write_run, write_tum
+from localize.replay import Trajectory, replay
+from simulate.point_drive import PointNoise
+from simulate.pole_street import FRAME, pole_street
+
+CONFIG = LocalizeConfig(particles=300)
+
+
+@pytest.fixture(scope="module")
+def street():
+    return pole_street(1, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+
+
+@pytest.fixture(scope="module")
+def run(street):
+    return replay(street.drive, street.pole_map, street.scans, CONFIG, seed=5)
+
+
+def test_the_output_stands_at_every_exact_tick_without_a_gap(run):
+    ticks = np.round(run.kf.stamps_s * 100).astype(int)
+    assert np.array_equal(run.kf.stamps_s, ticks / 100)
+    assert np.array_equal(np.diff(ticks), np.ones(len(ticks) - 1))
+    assert ticks[-1] == int(np.floor(max(19.98, 19.9 + 0.03) * 100))
+
+
+def test_it_localizes_and_says_how_well(run, street):
+    late = run.kf.stamps_s > 8.0
+    true = street.truth.truth(run.kf.stamps_s[late])[:, :2]
+    error = np.hypot(*(run.kf.poses[late, :2] - true).T)
+    assert np.median(error) < 0.15
+    metrics = run.metrics
+    for name in ("pf", "kf"):
+        for figure in (
+            "lateral_rmse_m",
+            "longitudinal_rmse_m",
+            "position_rmse_m",
+            "position_median_m",
+            "position_p95_m",
+            "yaw_rmse_rad",
+            "nees_mean",
+        ):
+            assert metrics[name][figure] >= 0.0
+    for count in ("reinitializations", "exploration_events", "gate_rejections", "late_dropped"):
+        assert metrics[count] >= 0
+    assert metrics["notes"] == ["made of points"]
+    assert metrics["input_problems"] == {"odometry: bad rows": 2}
+    assert "timing_ms" not in metrics
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not(run, street):
+    again = replay(street.drive, street.pole_map, street.scans, CONFIG, seed=5)
+    assert np.array_equal(again.kf.poses, run.kf.poses)
+    assert np.array_equal(again.pf.poses, run.pf.poses)
+    assert again.metrics == run.metrics
+    other = replay(street.drive, street.pole_map, street.scans, CONFIG, seed=6)
+    assert not np.array_equal(other.pf.poses, run.pf.poses)
+
+
+def test_a_pose_is_taken_when_its_scan_has_arrived_and_been_processed(run):
+    delay = CONFIG.output.processing_delay_s
+    for update in run.updates:
+        assert update.taken_s == pytest.approx(update.estimate.stamp_s + 0.03 + delay)
+
+
+def test_the_output_knows_nothing_of_what_has_not_arrived(street, run):
+    """What comes after a moment does not change the output up to it."""
+    cut = 12.0
+    odometry = street.drive.odometry
+    drive = replace(street.drive, odometry=odometry.rows(odometry.arrival_s <= cut))
+    scans = [scan for scan in street.scans if scan.arrival_s <= cut]
+    part = replay(drive, street.pole_map, scans, CONFIG, seed=5)
+    rows = min(np.searchsorted(run.kf.stamps_s, cut - 0.05), len(part.kf.stamps_s))
+    assert rows > 500
+    assert np.array_equal(part.kf.poses[:rows], run.kf.poses[:rows])
+
+
+def test_poles_beat_dead_reckoning(street, run):
+    without = replay(street.drive, None, (), CONFIG, seed=5)
+    assert "pf" not in without.metrics
+    assert len(without.pf.stamps_s) == 0
+    assert without.metrics["kf"]["position_median_m"] > run.metrics["kf"]["position_median_m"]
+
+
+def test_timings_come_from_the_clock_that_is_given(street):
+    ticking = iter(range(10**9))
+    run = replay(
+        street.drive,
+        street.pole_map,
+        street.scans[:10],
+        CONFIG,
+        seed=5,
+        clock=lambda: next(ticking) * 0.001,
+    )
+    timing = run.metrics["timing_ms"]
+    assert timing["particle_filter"]["median"] == pytest.approx(1.0)
+    assert timing["output_tick"]["calls"] > 100
+    assert run.metrics["replay_s"] > 0
+
+
+def test_a_map_of_another_frame_is_refused(street):
+    other = replace(street.pole_map, frame=EarthFrame("utm", epsg=32633))
+    with pytest.raises(FrameError, match=r"EPSG:32633.*local frame 'street'"):
+        replay(street.drive, other, street.scans, CONFIG, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"odometry": None}, "it has no odometry"),
+        ({"scans": ()}, "neither images nor poles.csv; --without-poles"),
+        ({"map": "empty"}, "the map holds no poles"),
+        ({"map": None, "gnss": None}, "without poles it needs GNSS"),
+    ],
+)
+def test_what_cannot_be_localized_is_refused(street, change, message):
+    pole_map, scans = street.pole_map, change.get("scans", street.scans)
+    if "map" in change:
+        pole_map = None
+        if change["map"] == "empty":
+            none = slice(0, 0)
+            full = street.pole_map
+            pole_map = type(full)(
+                frame=FRAME,
+                ids=full.ids[none],
+                points_m=full.points_m[none],
+                covariance_m2=full.covariance_m2[none],
+                width_m=full.width_m[none],
+                height_m=full.height_m[none],
+                observations=full.observations[none],
+                drives=full.drives[none],
+                existence=full.existence[none],
+            )
+    streams = {key: value for key, value in change.items() if key in ("odometry", "gnss")}
+    with pytest.raises(InputError, match=message):
+        replay(replace(street.drive, **streams), pole_map, scans, CONFIG, seed=0)
+
+
+def test_a_run_folder_holds_what_the_contract_says(run, tmp_path):
+    write_run(tmp_path, run, {"seed": 5, "polemap_version": "x"})
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "pf.tum",
+        "kf.tum",
+        "health.csv",
+        "output.csv",
+        "metrics.json",
+        "config.yaml",
+    }
+    stamps, poses = read_tum(tmp_path / "kf.tum")
+    assert np.array_equal(stamps, run.kf.stamps_s)
+    assert np.array_equal(poses[:, :2], run.kf.poses[:, :2])
+    assert np.allclose(poses[:, 2], run.kf.poses[:, 2], atol=1e-15)
+    header, *rows = (tmp_path / "health.csv").read_text().splitlines()
+    assert header == ",".join(HEALTH_COLUMNS)
+    assert len(rows) == len(run.updates)
+    assert all(row.count(",") == header.count(",") for row in rows)
+    assert json.loads((tmp_path / "metrics.json").read_text())["updates"] == len(run.updates)
+    assert yaml.safe_load((tmp_path / "config.yaml").read_text())["seed"] == 5
+
+
+def test_numbers_that_are_not_finite_become_null(run, tmp_path):
+    odd = replace(run, metrics={"a": float("nan"), "b": {"c": [np.float64(1.5), np.inf]}})
+    write_run(tmp_path, odd, {})
+    assert json.loads((tmp_path / "metrics.json").read_text()) == {
+        "a": None,
+        "b": {"c": [1.5, None]},
+    }
+
+
+def test_a_trajectory_in_utm_keeps_full_precision(tmp_path):
+    stamps = np.array([1317375912.01, 1317375912.02])
+    poses = np.array([[391234.123456789, 5819876.987654321, 3.1], [1.0, 2.0, -3.1]])
+    write_tum(tmp_path / "a.tum", Trajectory(stamps, poses, np.zeros((2, 3, 3))))
+    again = read_tum(tmp_path / "a.tum")
+    assert np.array_equal(again[0], stamps)
+    assert np.array_equal(again[1][:, :2], poses[:, :2])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2 3\n", "a.tum:1: expected 'stamp x y z qx qy qz qw'"),
+        ("# good\n1 2 3 4 5 6 7 x\n", "a.tum:2: could not convert"),
+        ("1 2 3 4 5 6 7 nan\n", "a.tum:1: expected .* eight finite numbers"),
+    ],
+)
+def test_a_damaged_trajectory_is_named(tmp_path, text, message):
+    path = tmp_path / "a.tum"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_tum(path)
+
+
+def test_a_missing_trajectory_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"none\.tum: cannot be read"):
+        read_tum(tmp_path / "none.tum")
