@@ -95,7 +95,7 @@ def rendered_scene(
     seed: int,
     shape: tuple[int, int] = (480, 768),
     bits: int = 8,
-    noise_sd: float = 2.0,
+    noise_sd: float = 1.5,
     gain: float = 1.0,
     gamma: float = 1.0,
     vignetting: float = 0.0,
@@ -118,7 +118,7 @@ def rendered_scene(
         level = rng.choice([-1.0, 1.0]) * rng.uniform(25, 70)
         columns = np.arange(width + 200) - 40.0
         round_shade = 15 * np.sqrt(np.clip(1 - (2 * columns / pole_width - 1) ** 2, 0, 1))
-        texture = 110 + level + round_shade + 0.2 * (_texture(rng, height, width + 200, 15) - 110)
+        texture = 110 + level + round_shade + 0.5 * (_texture(rng, height, width + 200, 15) - 110)
         poles.append(_Pole(rng.uniform(60, width - 40), pole_width, disparity, top, foot, texture))
     poles.sort(key=lambda pole: pole.disparity)
     images, views = [], []

@@ -29,10 +29,10 @@ class Penalties(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    p1: int = Field(default=7, ge=0, le=LARGEST_PENALTY)
-    p2_min: int = Field(default=17, ge=0, le=LARGEST_PENALTY)
-    gamma: int = Field(default=50, ge=0, le=LARGEST_PENALTY)
-    alpha: float = Field(default=2.0, ge=0.0, le=64.0)
+    p1: int = Field(default=5, ge=0, le=LARGEST_PENALTY)
+    p2_min: int = Field(default=8, ge=0, le=LARGEST_PENALTY)
+    gamma: int = Field(default=60, ge=0, le=LARGEST_PENALTY)
+    alpha: float = Field(default=3.0, ge=0.0, le=64.0)
 
     @model_validator(mode="after")
     def _in_order(self) -> Penalties:
@@ -77,6 +77,9 @@ class StereoConfig(BaseModel):
         left_right_tolerance_px: how far the two maps may disagree; None leaves out the check.
         median: a 3x3 median of the winners before the checks.
         outside_cost: matching cost where the partner would lie outside the other image.
+        cost_weight: how often the matching cost counts in the sum over paths, beside what each
+            path adds to it. In plain semi-global matching it counts once a path (8), so that one
+            noisy pixel outvotes all paths; 1 counts it once (Drory et al., GCPR 2014).
         threads: 1, or 2 (upper and lower half); with `own` also 4. The result is the same.
         instruction_set: for measurements; the result is the same.
     """
@@ -86,10 +89,10 @@ class StereoConfig(BaseModel):
     matcher: Literal["census_sgm", "opencv_sgbm"] = "census_sgm"
     min_disparity_px: int = Field(default=0, ge=0, le=512)
     disparities: int = Field(default=128, ge=16, le=256, multiple_of=16)
-    uniqueness_percent: int = Field(default=5, ge=0, le=50)
-    left_right_tolerance_px: float | None = Field(default=1.0, ge=0.0, le=16.0)
+    uniqueness_percent: int = Field(default=0, ge=0, le=50)
+    left_right_tolerance_px: float | None = Field(default=1.5, ge=0.0, le=16.0)
     paths: Literal[4, 8] = 8
-    right_map: Literal["shared", "own"] = "shared"
+    right_map: Literal["shared", "own"] = "own"
     penalties: Penalties = Penalties()
     census: Census = "centre5x5"
     smoothing: int = Field(default=1, ge=0, le=2)
@@ -97,7 +100,7 @@ class StereoConfig(BaseModel):
     subpixel: bool = True
     median: bool = False
     outside_cost: int = Field(default=12, ge=0, le=24)
-    cost_weight: int = Field(default=8, ge=1, le=16)
+    cost_weight: int = Field(default=1, ge=1, le=16)
     threads: int = Field(default=2, ge=1, le=64)
     instruction_set: Literal["auto", "baseline", "avx2", "avx512"] = "auto"
     opencv: OpenCvConfig = OpenCvConfig()
