@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 STEP_S = 0.005
 CAR = Car()
 _GRID_M = 0.25
+# starts and stops are softened over this time, which the standstill pays for
+_SOFTEN_S = 0.25
+_SETTLE_S = 5 * _SOFTEN_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +75,7 @@ def drive_route(route: Route, spec: DriveSpec, laps: int, rng: np.random.Generat
     speed = _speed(route, station, margin, stops, spec, rng)
     time, at = _schedule(station, speed, stops, spec)
     stamps = np.arange(0.0, time[-1], STEP_S)
-    travelled = gaussian_filter1d(np.interp(stamps, time, at), 0.3 / STEP_S, mode="nearest")
+    travelled = gaussian_filter1d(np.interp(stamps, time, at), _SOFTEN_S / STEP_S, mode="nearest")
     line = route.at(station + margin, lateral)[:, :2]
     ride = follow(line, _GRID_M, travelled, STEP_S, CAR)
     middle = route.at(travelled + margin)
@@ -155,8 +158,9 @@ def _schedule(
     at = station.copy()
     for stop in sorted(stops, reverse=True):
         i = int(np.argmin(np.abs(station - stop)))
-        time[i + 1 :] += spec.standstill_s
-        time = np.insert(time, i + 1, time[i] + spec.standstill_s)
+        pause = spec.standstill_s + _SETTLE_S
+        time[i + 1 :] += pause
+        time = np.insert(time, i + 1, time[i] + pause)
         at = np.insert(at, i + 1, station[i])
         # indices above i moved by one, those of the earlier stops did not
         station = at

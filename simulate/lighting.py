@@ -72,7 +72,9 @@ class Lighting:
         """Radiance of the sky `(n,)` along directions `(n, 3)` of any length."""
         length = np.sqrt(np.einsum("ij,ij->i", direction, direction))
         rise = np.clip(direction[:, 2] / length, 0.0, 1.0)
-        base = self.ambient * (4.6 - 2.2 * np.sqrt(rise))
+        # beside a clear sky's light on the ground the horizon glares; under clouds it does not
+        glare = 1.5 + 3.1 * min(self.sun, 1.0)
+        base = self.ambient * glare * (1.0 - 0.48 * np.sqrt(rise))
         if self.dusk:
             toward = direction[:, :2] @ self.to_sun[:2] / length
             base = base * (0.55 + 0.45 * np.clip(toward, 0, 1)) * (1 - 0.5 * rise)

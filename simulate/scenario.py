@@ -132,7 +132,6 @@ class DriveSpec(_Part):
     stops_m: list[float] = Field(default_factory=list)
     wander_sd_m: tuple[NotNegative, NotNegative] = (0.10, 0.27)
     evasions: NotNegative = 0.0
-    u_turns: bool = False
 
 
 class Scenario(_Part):

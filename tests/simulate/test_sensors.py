@@ -1,0 +1,103 @@
+"""Sensors: their errors have the size and the memory that the settings state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from simulate import sensors
+from simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
+from simulate.driver import Motion, drive_route
+from simulate.route import make_route
+from simulate.scenario import Scenario
+
+ORIGIN = np.array([400_000.0, 5_800_000.0])
+
+
+@pytest.fixture(scope="module")
+def motion(street: Scenario) -> Motion:
+    route = make_route(street.route.corners_m, street.route.corner_radius_m, True)
+    return drive_route(route, street.drive, 3, np.random.default_rng(3))
+
+
+def test_gauss_markov_noise_has_its_sd_and_memory() -> None:
+    stamps = np.arange(0, 4000, 0.5)
+    noise = sensors.gauss_markov(stamps, 2.0, 10.0, np.random.default_rng(5), 3)
+    # about 200 independent stretches a column
+    assert noise.std() == pytest.approx(2.0, rel=4 / np.sqrt(2 * 600))
+    lag = np.mean(noise[20:] * noise[:-20]) / noise.var()
+    assert lag == pytest.approx(np.exp(-1.0), abs=0.12)
+
+
+def test_odometry_rolls_the_way_within_its_scale(motion: Motion) -> None:
+    config = OdometryConfig()
+    ratios, biases = [], []
+    way = np.sum(motion.speed_mps) * 0.005
+    for seed in range(40):
+        stream = sensors.odometry(motion, config, np.random.default_rng(seed))
+        ratios.append(np.sum(stream.speed_mps) / config.rate_hz / way)
+        still = stream.stamp_s < 0.9
+        assert np.all(stream.speed_mps[still] == 0)
+        biases.append(stream.yaw_rate_radps[still].mean())
+        assert np.all(stream.arrival_s > stream.stamp_s)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4 * config.speed_scale_sd / np.sqrt(40) + 1e-3)
+    assert np.std(ratios) == pytest.approx(config.speed_scale_sd, rel=0.5)
+    assert np.std(biases) == pytest.approx(config.yaw_bias_sd_radps, rel=0.5)
+
+
+def test_odometry_without_errors_is_the_truth(motion: Motion) -> None:
+    config = OdometryConfig(
+        speed_scale_sd=0, speed_noise_sd_mps=0, tick_m=0, slip_per_mps2=0, yaw_bias_sd_radps=0,
+        yaw_bias_drift_radps_sqrt_s=0, yaw_noise_sd_radps=0, yaw_scale_sd=0,
+    )  # fmt: skip
+    stream = sensors.odometry(motion, config, np.random.default_rng(0))
+    assert np.allclose(stream.speed_mps, motion.value("speed_mps", stream.stamp_s), atol=1e-9)
+    rate = motion.value("yaw_rate_radps", stream.stamp_s)
+    assert np.allclose(stream.yaw_rate_radps, rate, atol=1e-12)
+
+
+def test_gnss_errors_over_many_drives(motion: Motion) -> None:
+    quiet = GnssConfig(multipath_per_min=0, outages_per_min=0)
+    errors = []
+    for seed in range(60):
+        stream = sensors.gnss(motion, ORIGIN, quiet, np.random.default_rng(seed))
+        pose = motion.at(stream.stamp_s)
+        antenna = pose[:, :2] + 0.4 * np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], 1)
+        place = np.stack([stream.east_m, stream.north_m], 1) - ORIGIN
+        errors.append((place - antenna)[len(place) // 2])
+    expected = np.hypot(quiet.wander_sd_m, quiet.noise_sd_m)
+    assert np.std(errors) == pytest.approx(expected, rel=4 / np.sqrt(2 * 120))
+
+
+def test_gnss_jumps_raise_hdop_and_outages_remove_fixes(motion: Motion) -> None:
+    quiet = GnssConfig(multipath_per_min=0, outages_per_min=0)
+    loud = GnssConfig(multipath_per_min=30, outages_per_min=0, multipath_sd_m=8)
+    gone = GnssConfig(outages_per_min=20)
+    streams = [
+        sensors.gnss(motion, ORIGIN, config, np.random.default_rng(1))
+        for config in (quiet, loud, gone)
+    ]
+    assert streams[1].hdop.max() > streams[0].hdop.max() + 0.2
+    assert len(streams[2]) < 0.8 * len(streams[0])
+
+
+@pytest.mark.parametrize(("kind", "low", "high"), [("good", 0.01, 0.03), ("drifting", 0.4, 1.3)])
+def test_references_are_good_or_drift(motion: Motion, kind: str, low: float, high: float) -> None:
+    config = ReferenceConfig(kind=kind)  # type: ignore[arg-type]
+    ends = []
+    for seed in range(40):
+        stream = sensors.reference(motion, ORIGIN, config, np.random.default_rng(seed))
+        truth = motion.at(stream.stamp_s)
+        ends.append((stream.poses[:, :2] - ORIGIN - truth[:, :2])[-1])
+    assert low < np.std(ends) < high
+
+
+def test_pictures_arrive_late_in_order_and_some_never(motion: Motion) -> None:
+    config = LatencyConfig(camera_drop_share=0.2)
+    stamps, late = sensors.frame_times(motion, 20.0, config, np.random.default_rng(1))
+    delay = late - stamps
+    assert delay.min() >= config.camera_min_s
+    assert delay.max() <= config.camera_max_s + 0.06
+    assert np.all(np.diff(late) >= 0)
+    share = len(stamps) / (motion.stamp_s[-1] * 20)
+    assert share == pytest.approx(0.8, abs=0.06)
