@@ -23,7 +23,7 @@ _SPACING_S = 0.5
 _MOST_FIXES = 60
 _OUTLIER_SD = 3.0
 _SHORT_TERM_SHARE = 0.5  # the part of the receiver's error that differs from fix to fix
-_STRAY_S = 4.0
+_STRAY_S = 2.0
 _DRIFT_SHARE = 0.02
 
 

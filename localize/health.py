@@ -8,6 +8,8 @@ from localize.config import LocalizeConfig
 
 # a single pole that fits, or does not, says little
 _LEAST_POSSIBLE = 1.5
+# two outliers before and after an outage are no proof
+_LEAST_FAR_FIXES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ class LostDetector:
         self._share = 1.0
         self._geometric_sd_m = 0.0
         self._bad_s = 0.0
-        self._astray_s = 0.0
+        self._far_fixes_s: list[float] = []
         self._last_s: float | None = None
 
     @property
@@ -85,7 +87,10 @@ class LostDetector:
     @property
     def astray(self) -> bool:
         """Whether GNSS has long said that the car is somewhere else."""
-        return self._astray_s >= self._config.lost_after_s
+        fixes = self._far_fixes_s
+        if len(fixes) < _LEAST_FAR_FIXES:
+            return False
+        return fixes[-1] - fixes[0] >= self._config.lost_after_s
 
     def update(
         self,
@@ -108,7 +113,7 @@ class LostDetector:
         self._geometric_sd_m = geometric_sd_m
         if gnss_distance_sd is not None:
             far = gnss_distance_sd > config.lost_gnss_sd
-            self._astray_s = self._astray_s + elapsed if far else 0.0
+            self._far_fixes_s = [*self._far_fixes_s, stamp_s] if far else []
         possible = max(min(seen, expected), matched)
         if possible < _LEAST_POSSIBLE:
             return
@@ -119,4 +124,5 @@ class LostDetector:
     def reset(self) -> None:
         """After an initialization: the benefit of the doubt."""
         self._share = 1.0
-        self._bad_s = self._astray_s = self._geometric_sd_m = 0.0
+        self._bad_s = self._geometric_sd_m = 0.0
+        self._far_fixes_s = []
