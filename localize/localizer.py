@@ -150,6 +150,16 @@ class Localizer:
             return self._push_view(sample)
         return None
 
+    def push_estimate(self, estimate: PfEstimate) -> None:
+        """Take in a pose of another source than the own particle filter, late as it may be.
+
+        It passes the same clock watch, health policy and gate.
+        """
+        with self._fast:
+            stamp = self._clocks["camera"].check(estimate.stamp_s, estimate.arrival_s)
+            if stamp is not None:
+                self._hold(replace(estimate, stamp_s=stamp), estimate.arrival_s)
+
     def pose(self, stamp_s: float) -> OutputPose | None:
         """The pose at `stamp_s` from what has arrived; None before the filter has started.
 
@@ -213,6 +223,12 @@ class Localizer:
     def _count(self, stream: str, placed: Placement | None) -> None:
         if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
             self.counts[f"{stream}_{placed.value}"] += 1
+
+    def _hold(self, estimate: PfEstimate, arrival_s: float) -> None:
+        """Keep a pose until it would have been computed."""
+        taken = arrival_s + self._delay_s
+        heapq.heappush(self._pending, (taken, next(self._numbers), estimate))
+        self._release(arrival_s)
 
     def _release(self, now_s: float) -> None:
         """Give the output filter the poses that have been computed by `now_s`."""
@@ -280,9 +296,7 @@ class Localizer:
             return None
         with self._fast:
             self._learned = learned
-            taken = sample.arrival_s + self._delay_s
-            heapq.heappush(self._pending, (taken, next(self._numbers), estimate))
-            self._release(sample.arrival_s)
+            self._hold(estimate, sample.arrival_s)
         return estimate
 
     def _look(self, sample: PoleScan | StereoFrame) -> PoleScan:

@@ -242,7 +242,7 @@ class OutputFilter:
         residual = angle_residual(np.array(event.pose), np.array(state.mean[:3]), angle_rows=(2,))
         innovation = innovate(residual, covariance, _POSE_ROWS, noise)
         if config.gate and innovation.nis > self._pose_limit:
-            return reject(state, event, residual, innovation.nis, config)
+            return reject(state, event, innovation.nis, self._pose_limit, config)
         if state.last_pose_s == _NEVER:
             # GNSS has started the filter, poles know better: the first pose that fits takes over
             counts = counts._replace(takeovers=counts.takeovers + 1)

@@ -47,6 +47,7 @@ class Counts(NamedTuple):
     poses_accepted: int = 0
     gate_rejections: int = 0
     inflations: int = 0
+    incoherent: int = 0
     reinitializations: int = 0
     takeovers: int = 0
     gnss_vetoes: int = 0
@@ -57,14 +58,16 @@ class Counts(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """What the rejected poses say, as an offset from the filter's pose in the vehicle frame.
+    """What the rejected poses say, kept as the first of them and where the filter was then.
 
-    `evidence` is the sum over `fixes` GNSS fixes of how much better (log-likelihood) the filter
-    explains the fix than the rival does.
+    If both are led on by the same odometry, the rival is the first rejected pose moved as the
+    filter has moved since. `evidence` is the sum over `fixes` GNSS fixes of how much better
+    (log-likelihood) the filter explains the fix than the rival does.
     """
 
     since_s: float
-    offset: Pose
+    pose: Pose
+    filter_pose: Pose
     fixes: int = 0
     evidence: float = 0.0
 

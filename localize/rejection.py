@@ -2,13 +2,14 @@
 
 A single pose that fails the gate is ignored. When all fail for a while, either the particle
 filter is wrong or the output filter is. First the filter grants itself more uncertainty, up to a
-bound that a pose far away still fails; at last it goes to where the poses say, unless GNSS speaks
-for the filter. Each step is counted, and a re-initialization is flagged in the output.
+bound that a pose far away still fails; at last it goes to where the poses say, if they agree among
+themselves and with the odometry, and unless GNSS speaks for the filter. Each step is counted, and
+a re-initialization is flagged in the output.
 """
 
 from __future__ import annotations
 
-from math import cos, exp, log, sin, sqrt
+from math import cos, exp, hypot, log, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,22 +17,32 @@ from numpy.typing import NDArray
 from localize.ctrv_kernel import INDEX, SIZE, Upper, pack, unpack, wrap
 from localize.output_config import OutputConfig
 from localize.output_state import FilterState, GnssEvent, Pose, PoseEvent, PoseUpper, Rival
+from vehicle.kalman import normalized_error
+from vehicle.pose import Pose2D
 
 Floats = NDArray[np.float64]
 
 # share of GNSS fixes that say nothing: bounds what a single fix can say for either side
 _OUTLIER = 0.02
+# what dead reckoning may be off by since the first rejected pose
+_DRIFT_M, _DRIFT_SHARE, _DRIFT_RAD = 0.1, 0.02, 0.02
 
 
 def reject(
-    state: FilterState, event: PoseEvent, residual: Floats, nis: float, config: OutputConfig
+    state: FilterState, event: PoseEvent, nis: float, limit: float, config: OutputConfig
 ) -> FilterState:
-    """The state after a pose that failed the gate by `residual` `(3,)`, map frame."""
+    """The state after a pose that failed the gate with the squared distance `nis`.
+
+    Args:
+        limit: of the gate, for a pose's three degrees of freedom.
+    """
     counts = state.counts._replace(gate_rejections=state.counts.gate_rejections + 1)
-    c, s = cos(state.mean[2]), sin(state.mean[2])
-    dx, dy, dyaw = residual.tolist()
-    offset = (c * dx + s * dy, -s * dx + c * dy, dyaw)
-    rival = (state.rival or Rival(state.stamp_s, offset))._replace(offset=offset)
+    here = state.mean[:3]
+    rival = state.rival or Rival(state.stamp_s, event.pose, here)
+    if not _coherent(rival, event, here, limit):
+        # poses that do not even move as the car does are no place to go to
+        counts = counts._replace(incoherent=counts.incoherent + 1)
+        rival = Rival(state.stamp_s, event.pose, here)
     lasted = state.stamp_s - rival.since_s
     state = state._replace(counts=counts, rival=rival, nis=nis)
     if lasted < config.inflate_after_s:
@@ -45,6 +56,27 @@ def reject(
         return state._replace(counts=counts, decision="vetoed")
     counts = counts._replace(reinitializations=counts.reinitializations + 1)
     return moved(state, event.pose, event.upper)._replace(counts=counts, decision="reinitialized")
+
+
+def _coherent(rival: Rival, event: PoseEvent, here: Pose, limit: float) -> bool:
+    """Whether a rejected pose stands where the first of them has got to by the car's own motion."""
+    expected = _carried(rival, here)
+    x, y, yaw = event.pose
+    residual = np.array([x - expected[0], y - expected[1], wrap(yaw - expected[2])])
+    way = hypot(here[0] - rival.filter_pose[0], here[1] - rival.filter_pose[1])
+    a, b, c, d, e, f = event.upper
+    # the first pose was as uncertain as this one, and its heading has led the way since
+    spread = (_DRIFT_M + way * (_DRIFT_SHARE + sqrt(f))) ** 2
+    covariance = 2.0 * np.array([[a, b, c], [b, d, e], [c, e, f]])
+    covariance += np.diag([spread, spread, _DRIFT_RAD**2])
+    return normalized_error(residual, covariance) <= limit
+
+
+def _carried(rival: Rival, here: Pose) -> Pose:
+    """The first rejected pose, moved as the filter has moved since."""
+    then = Pose2D(*rival.filter_pose)
+    now = Pose2D(*rival.pose).compose(then.inverse().compose(Pose2D(*here)))
+    return now.x_m, now.y_m, now.yaw_rad
 
 
 def moved(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:
@@ -64,11 +96,9 @@ def weigh(
     state: FilterState, rival: Rival, event: GnssEvent, antenna_m: tuple[float, float]
 ) -> Rival:
     """Let a fix speak for the filter or for what the rejected poses say."""
-    x, y, yaw = state.mean[:3]
-    c, s = cos(yaw), sin(yaw)
-    dx, dy, dyaw = rival.offset
-    other = (x + c * dx - s * dy, y + s * dx + c * dy, wrap(yaw + dyaw))
-    gain = _log_likelihood((x, y, yaw), event, antenna_m) - _log_likelihood(other, event, antenna_m)
+    here = state.mean[:3]
+    gain = _log_likelihood(here, event, antenna_m)
+    gain -= _log_likelihood(_carried(rival, here), event, antenna_m)
     return rival._replace(fixes=rival.fixes + 1, evidence=rival.evidence + gain)
 
 

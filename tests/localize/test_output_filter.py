@@ -342,6 +342,22 @@ def test_poses_that_come_back_end_the_rejections_without_a_jump():
     assert output.newest.rival is None
 
 
+def test_poses_that_do_not_move_as_the_car_does_are_no_place_to_go_to():
+    """Positions beside the truth but a heading turned by 90 degrees cannot both be right."""
+    config = OutputConfig()
+    output = started_with_odometry(config, 2.0)
+    for step in range(1, 120):
+        stamp = 2.0 + 0.05 * step
+        for part in range(3):
+            output.odometry(stamp - 0.05 + 0.05 * (part + 1) / 3, 10.0, 0.0)
+        turned = np.array([10.0 * stamp, 10.0, math.pi / 2])
+        output.pose(stamp + 1e-6, turned, np.diag([0.0025, 0.0025, 1e-5]))
+    counts = output.newest.counts
+    assert counts.reinitializations == 0
+    assert counts.incoherent > 10
+    assert abs(output.newest.mean[1]) < 0.1
+
+
 def test_gnss_vetoes_a_reinitialization_to_poses_that_it_contradicts():
     output, decisions = rejections(OutputConfig(), [10.0] * 100, gnss=0.5)
     assert "reinitialized" not in decisions

@@ -1,0 +1,366 @@
+"""The output filter: time per event, what latency costs, consistency, and what faults do.
+
+`run()` times it (for `python -m benchmarks`); `python -m benchmarks.output_filter` also prints the
+tables of docs/output_filter.md.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localize.config import LocalizeConfig
+from localize.ctrv_kernel import unpack
+from localize.health import HealthRecord
+from localize.localizer import Localizer
+from localize.metrics import nees, pose_errors
+from localize.output_config import OutputConfig
+from localize.output_filter import OutputFilter
+from localize.particle_filter import PfEstimate
+from localize.replay import replay
+from simulate.point_drive import PointDrive, PointPose, point_drive
+from simulate.pole_street import pole_street
+
+Floats = NDArray[np.float64]
+Event = tuple[float, int, Any]
+
+
+def run() -> dict[str, dict[str, float]]:
+    """Median and p95 of one odometry event, one late pose replayed over 110 ms, and one tick."""
+    odometry, poses, ticks = [], [], []
+    for seed in range(3):
+        drive = point_drive(np.random.default_rng(seed), duration_s=20.0)
+        output, tick = OutputFilter(OutputConfig()), 0
+        for arrival, kind, sample in _events(drive):
+            while tick / 100 < arrival:
+                if output.started:
+                    begin = time.perf_counter()
+                    output.at(tick / 100)
+                    ticks.append(time.perf_counter() - begin)
+                tick += 1
+            begin = time.perf_counter()
+            _give(output, kind, sample)
+            spent = time.perf_counter() - begin
+            if output.started:
+                (poses if kind else odometry).append(spent)
+    result = {}
+    for name, values in (("odometry", odometry), ("late_pose_110ms", poses), ("tick", ticks)):
+        figures = np.array(values) * 1e3
+        result[f"output_filter.{name}"] = {
+            "median_ms": float(np.median(figures)),
+            "p95_ms": float(np.percentile(figures, 95)),
+        }
+    odometry_ms = result["output_filter.odometry"]["median_ms"]
+    late_ms = result["output_filter.late_pose_110ms"]["median_ms"]
+    result["output_filter.late_pose_110ms"]["ratio_to_odometry"] = late_ms / odometry_ms
+    return result
+
+
+def latency(seeds: int = 20) -> dict[str, dict[str, float]]:
+    """RMSE at 100 Hz with poses of 22 Hz, 110 ms late: replayed, at once, and delay ignored."""
+    table: dict[str, list[list[float]]] = {"no latency": [], "110 ms late": [], "delay ignored": []}
+    for seed in range(seeds):
+        for name, late in (("no latency", 1e-6), ("110 ms late", 0.11), ("delay ignored", 0.11)):
+            drive = point_drive(np.random.default_rng(seed), duration_s=40.0, latency_s=late)
+            events = _events(drive)
+            if name == "delay ignored":
+                events = [(a, k, replace(s, stamp_s=a) if k else s) for a, k, s in events]
+            error, _ = _track(drive, events, OutputConfig(pose_errors="independent"))
+            table[name].append([_rms(error[:, 0]), _rms(error[:, 1]), _rms(error[:, 2])])
+    return {
+        name: {
+            "along_m": float(np.mean(rows, axis=0)[0]),
+            "across_m": float(np.mean(rows, axis=0)[1]),
+            "yaw_rad": float(np.mean(rows, axis=0)[2]),
+            "position_m": float(np.mean([math.hypot(r[0], r[1]) for r in rows])),
+            "sd_m": float(np.std([math.hypot(r[0], r[1]) for r in rows], ddof=1)),
+        }
+        for name, rows in table.items()
+    }
+
+
+def consistency(seeds: int = 50, particles: int = 400) -> dict[str, dict[str, float]]:
+    """NEES per degree of freedom behind the particle filter, 22 Hz and 110 ms, point-level street.
+
+    The first ten seconds, in which the particle filter finds itself, are left out.
+    """
+    rows: dict[str, list[float]] = {"pf": [], "kf": [], "kf_independent": [], "rmse": []}
+    lost = 0
+    for seed in range(seeds):
+        street = pole_street(
+            seed, duration_s=25.0, scan_hz=22.0, arrival_s=0.03, poles_per_m2=0.012
+        )
+        config = LocalizeConfig(particles=particles)
+        done = replay(street.drive, street.pole_map, street.scans, config, seed=seed)
+        pf_late = done.pf.stamps_s > 10.0
+        kf_late = done.kf.stamps_s > 10.0
+        pf_true = street.truth.truth(done.pf.stamps_s[pf_late])[:, :3]
+        kf_true = street.truth.truth(done.kf.stamps_s[kf_late])[:, :3]
+        error = pose_errors(done.kf.poses[kf_late], kf_true)
+        distance = np.hypot(error[:, 0], error[:, 1])
+        if np.median(distance) > 2.0:
+            lost += 1
+            continue
+        rows["rmse"].append(_rms(distance))
+        for name, true, late, path in (
+            ("pf", pf_true, pf_late, done.pf),
+            ("kf", kf_true, kf_late, done.kf),
+        ):
+            rows[name].append(
+                float(np.nanmean(nees(path.poses[late], true, path.covariance[late])) / 3)
+            )
+        rows["kf_independent"].append(_independent_nees(done.updates, street, config))
+    return {
+        name: {
+            "mean": float(np.mean(values)),
+            "median": float(np.median(values)),
+            "sd": float(np.std(values, ddof=1)),
+        }
+        for name, values in rows.items()
+    } | {"lost": {"runs": float(lost), "of": float(seeds)}}
+
+
+def _independent_nees(updates: Any, street: Any, config: LocalizeConfig) -> float:
+    """What the NEES would be if each pose were taken as news."""
+    drive = street.truth
+    events: list[Event] = [(o.arrival_s, 0, o) for o in drive.odometry]
+    for update in updates:
+        estimate = update.estimate
+        if estimate.healthy:
+            pose = PointPose(estimate.stamp_s, update.taken_s, estimate.pose, estimate.covariance)
+            events.append((update.taken_s, 1, pose))
+    settings = config.output.model_copy(update={"pose_errors": "independent"})
+    _, values = _track(drive, sorted(events, key=lambda e: e[:2]), settings, after_s=10.0)
+    return float(values.mean() / 3)
+
+
+# faults: each changes the events of a drive, (arrival, kind, sample)
+
+
+def _wrong_for(
+    seconds: float, turned_rad: float = math.pi / 2
+) -> Callable[[PointDrive, list[Event]], list[Event]]:
+    def fault(_drive: PointDrive, events: list[Event]) -> list[Event]:
+        changed = []
+        for arrival, kind, sample in events:
+            if kind == 1 and 15.0 <= sample.stamp_s < 15.0 + seconds:
+                # 10 m beside the truth and turned, as sure of itself as ever
+                yaw = sample.pose[2]
+                aside = [-10.0 * math.sin(yaw), 10.0 * math.cos(yaw), turned_rad]
+                sample = replace(sample, pose=sample.pose + np.array(aside))
+            changed.append((arrival, kind, sample))
+        return changed
+
+    return fault
+
+
+def _gap(kind_of: int, seconds: float) -> Callable[[PointDrive, list[Event]], list[Event]]:
+    def fault(_drive: PointDrive, events: list[Event]) -> list[Event]:
+        return [
+            event
+            for event in events
+            if not (event[1] == kind_of and 15.0 <= event[2].stamp_s < 15.0 + seconds)
+        ]
+
+    return fault
+
+
+def _burst(_drive: PointDrive, events: list[Event]) -> list[Event]:
+    """Poses of two seconds arrive at once."""
+    changed = [
+        (17.0 if kind == 1 and 15.0 <= arrival < 17.0 else arrival, kind, sample)
+        for arrival, kind, sample in events
+    ]
+    return sorted(changed, key=lambda event: event[:2])
+
+
+def _clock(kind_of: int, step: float) -> Callable[[PointDrive, list[Event]], list[Event]]:
+    """The stamps of one sensor jump; its samples arrive as before."""
+
+    def fault(_drive: PointDrive, events: list[Event]) -> list[Event]:
+        return [
+            (arrival, kind, replace(s, stamp_s=s.stamp_s + step))
+            if kind == kind_of and arrival >= 15.0
+            else (arrival, kind, s)
+            for arrival, kind, s in events
+        ]
+
+    return fault
+
+
+FAULTS: dict[str, Callable[[PointDrive, list[Event]], list[Event]]] = {
+    "none": lambda _drive, events: events,
+    "wrong pose 10 m / 90 deg, 1 s": _wrong_for(1.0),
+    "wrong pose 10 m / 90 deg, 10 s": _wrong_for(10.0),
+    "wrong pose 10 m, moving alike, 10 s": _wrong_for(10.0, 0.0),
+    "no poses for 5 s": _gap(1, 5.0),
+    "no odometry for 1 s": _gap(0, 1.0),
+    "2 s of poses at once": _burst,
+    "odometry clock +1 s": _clock(0, 1.0),
+    "odometry clock -1 s": _clock(0, -1.0),
+    "pose clock +1 s": _clock(1, 1.0),
+    "pose clock -1 s": _clock(1, -1.0),
+}
+
+
+def faults(seeds: int = 20, *, with_gnss: bool = True) -> dict[str, dict[str, float]]:
+    """Each fault from second 15 on, through the whole localizer but for its particle filter.
+
+    `recover_s` is the time after the fault's end (or begin, for a lasting one) until the error
+    stays below 0.3 m; `jump_m` the largest step of a tick that the motion does not explain,
+    outside flagged re-initializations.
+    """
+    table = {}
+    for name, fault in FAULTS.items():
+        rows = [_one_fault(seed, fault, name, with_gnss=with_gnss) for seed in range(seeds)]
+        values = np.array([row[:5] for row in rows])
+        table[name] = {
+            "error_max_m": float(values[:, 0].max()),
+            "error_max_median_m": float(np.median(values[:, 0])),
+            "recover_s_max": float(values[:, 1].max()),
+            "recover_s_median": float(np.median(values[:, 1])),
+            "jump_m_max": float(values[:, 2].max()),
+            "flagged_jump_m_max": float(values[:, 3].max()),
+            "reinitialized": float((values[:, 4] > 0).sum()),
+        }
+    return table
+
+
+_ENDS_S = {"1 s": 16.0, "10 s": 25.0, "5 s": 20.0, "once": 17.0}
+
+
+def _one_fault(
+    seed: int,
+    fault: Callable[[PointDrive, list[Event]], list[Event]],
+    name: str,
+    *,
+    with_gnss: bool,
+) -> tuple[float, ...]:
+    drive = point_drive(np.random.default_rng(seed), duration_s=40.0)
+    events = _events(drive)
+    if with_gnss:
+        events += [(fix.arrival_s, 2, fix) for fix in drive.gnss]
+        events.sort(key=lambda event: event[:2])
+    stamps, poses, motion, flags, reinitialized = _localize(drive, fault(drive, events))
+    true = drive.truth(stamps)
+    error = np.hypot(*(poses[:, :2] - true[:, :2]).T)
+    after = stamps >= 15.0
+    lasting = name.startswith(("none", "odometry clock", "pose clock"))
+    end = 15.0 if lasting else next(e for key, e in _ENDS_S.items() if name.endswith(key))
+    bad = stamps[after & (error > 0.3)]
+    recover = max(0.0, float(bad.max()) - end) if len(bad) else 0.0
+    plain = ~flags[1:]
+    jump = _unexplained(stamps, poses, motion)
+    flagged = jump[~plain & (stamps[1:] > 10.0)]
+    return (
+        float(error[after].max()),
+        recover,
+        float(jump[plain & (stamps[1:] > 10.0)].max()),
+        float(flagged.max()) if len(flagged) else 0.0,
+        float(reinitialized),
+    )
+
+
+def _unexplained(stamps: Floats, poses: Floats, motion: Floats) -> Floats:
+    """How far each output is from where speed and yaw rate lead the one before."""
+    dt = np.diff(stamps)
+    heading = poses[:-1, 2] + 0.5 * motion[1:, 1] * dt
+    way = motion[1:, 0] * dt
+    expected = poses[:-1, :2] + np.stack([way * np.cos(heading), way * np.sin(heading)], axis=1)
+    return np.asarray(np.hypot(*(poses[1:, :2] - expected).T))
+
+
+def _localize(
+    drive: PointDrive, events: list[Event]
+) -> tuple[Floats, Floats, Floats, NDArray[np.bool_], int]:
+    """Through `Localizer`, clocks and all; poses are offered as healthy at their arrival."""
+    config = LocalizeConfig()
+    localizer = Localizer(None, config, 2.7, np.random.default_rng(0))
+    stamps, poses, motion, flags, tick = [], [], [], [], 0
+    for arrival, kind, sample in events:
+        while tick / 100 < arrival:
+            answer = localizer.pose(tick / 100)
+            tick += 1
+            if answer is not None:
+                stamps.append(answer.stamp_s)
+                poses.append(answer.pose)
+                motion.append((answer.speed_mps, answer.yaw_rate_radps))
+                flags.append(bool(answer.flag))
+        if kind == 1:
+            localizer.push_estimate(_estimate(sample, arrival))
+        else:
+            localizer.push(replace(sample, arrival_s=arrival))
+    count = localizer.summary().get("reinitializations", 0)
+    return np.array(stamps), np.array(poses), np.array(motion), np.array(flags), count
+
+
+def _estimate(pose: PointPose, arrival_s: float) -> PfEstimate:
+    sd = float(math.sqrt(max(pose.covariance[0, 0], pose.covariance[1, 1])))
+    health = HealthRecord(
+        stamp_s=pose.stamp_s, matched=4, seen=4, in_view=4, n_eff=500.0, position_sd_major_m=sd,
+        position_sd_minor_m=sd, exploration_ratio=0.0, lag_s=arrival_s - pose.stamp_s,
+        particles=1000, match_share=1.0, modes=1, mode_share=1.0, evidence_share=1.0,
+        yaw_rate_offset_radps=0.0, speed_scale=0.0,
+    )  # fmt: skip
+    return PfEstimate(pose.stamp_s, arrival_s, pose.pose, pose.covariance, True, 1, health, None)
+
+
+def _events(drive: PointDrive) -> list[Event]:
+    events: list[Event] = [(o.arrival_s, 0, o) for o in drive.odometry]
+    events += [(pose.arrival_s, 1, pose) for pose in drive.poses]
+    return sorted(events, key=lambda event: event[:2])
+
+
+def _give(output: OutputFilter, kind: int, sample: Any) -> None:
+    if kind == 0:
+        output.odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
+    else:
+        output.pose(sample.stamp_s, sample.pose, sample.covariance)
+
+
+def _track(
+    drive: PointDrive, events: list[Event], config: OutputConfig, *, after_s: float = 5.0
+) -> tuple[Floats, Floats]:
+    """Errors and NEES at 100 Hz."""
+    output, tick = OutputFilter(config), 0
+    stamps, means, covariances = [], [], []
+    for arrival, kind, sample in events:
+        while tick / 100 < arrival:
+            stamp = tick / 100
+            tick += 1
+            if output.started and stamp > after_s:
+                state = output.at(stamp)
+                stamps.append(stamp)
+                means.append(state.mean[:3])
+                covariances.append(unpack(state.upper)[:3, :3])
+        _give(output, kind, sample)
+    true = drive.truth(np.array(stamps))[:, :3]
+    return (
+        pose_errors(np.array(means), true),
+        nees(np.array(means), true, np.array(covariances)),
+    )
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _print(title: str, table: dict[str, dict[str, float]]) -> None:
+    print(f"\n{title}")
+    for name, row in table.items():
+        figures = ", ".join(f"{key} {value:.4g}" for key, value in row.items())
+        print(f"  {name:32} {figures}")
+
+
+if __name__ == "__main__":
+    _print("time", run())
+    _print("latency, 20 seeds", latency())
+    _print("faults, 20 seeds, with GNSS", faults())
+    _print("faults, 20 seeds, without GNSS", faults(with_gnss=False))
+    _print("NEES per degree of freedom, 50 seeds", consistency())
