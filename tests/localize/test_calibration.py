@@ -1,0 +1,106 @@
+"""What the odometry gets wrong is learned: offsets at standstill and while driving, scales."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivelog.samples import OdometrySample
+from localize.calibration import OdometryCalibration
+from localize.config import LocalizeConfig
+from vehicle.motion import move_along_arc
+
+
+def stand(
+    calibration: OdometryCalibration, rate: float, seconds: float, rng: np.random.Generator
+) -> OdometrySample:
+    for k in range(int(50 * seconds)):
+        measured = rate + 0.002 * rng.standard_normal()
+        last = calibration.correct(OdometrySample(0.02 * k, 0.02 * k, 0.0, measured))
+    return last
+
+
+def drive(
+    calibration: OdometryCalibration,
+    rng: np.random.Generator,
+    *,
+    seconds: float = 300.0,
+    scale: float = 1.0,
+    offset: float = 0.0,
+    curvature: float = 0.0,
+    pose_sd: float = 0.05,
+) -> None:
+    """Odometry measures (true / scale) and the filter's poses scatter around the truth."""
+    pose = np.zeros(3)
+    covariance = np.diag([pose_sd**2, pose_sd**2, 0.003**2])
+    for k in range(int(50 * seconds)):
+        t = 0.02 * k
+        speed = 8.0 + 2.0 * np.sin(t / 7)
+        rate = 0.15 * np.sin(t / 5)
+        pose = move_along_arc(pose, speed * 0.02, rate * 0.02)
+        measured_speed = speed / (1 + scale - 1)
+        measured = rate + offset - curvature * measured_speed + 0.002 * rng.standard_normal()
+        calibration.correct(OdometrySample(t, t, measured_speed, measured))
+        if k % 5 == 4:
+            seen = pose + rng.normal(0, [pose_sd, pose_sd, 0.003])
+            calibration.learn(t, seen, covariance, trusted=True)
+
+
+def test_the_offset_is_learned_at_standstill() -> None:
+    calibration = OdometryCalibration(LocalizeConfig())
+    last = stand(calibration, 0.004, 20.0, np.random.default_rng(0))
+    # half of 20 s at 50 Hz counts, and the white noise that is assumed is 0.005 rad/s
+    assert calibration.yaw_rate_offset_radps == pytest.approx(0.004, abs=5 * 0.005 / np.sqrt(450))
+    assert (last.speed_mps, last.yaw_rate_radps) == (0.0, 0.0)
+
+
+def test_a_turntable_is_no_standstill() -> None:
+    calibration = OdometryCalibration(LocalizeConfig())
+    stand(calibration, 0.3, 20.0, np.random.default_rng(0))
+    assert calibration.yaw_rate_offset_radps == 0.0
+    rng = np.random.default_rng(1)
+    for k in range(1000):
+        calibration.correct(OdometrySample(0.02 * k, 0.02 * k, 0.0, 0.2 * rng.standard_normal()))
+    assert calibration.yaw_rate_offset_radps == 0.0
+
+
+def test_short_stops_teach_nothing() -> None:
+    calibration = OdometryCalibration(LocalizeConfig())
+    for k in range(2000):
+        speed = 0.0 if k % 75 < 50 else 2.0  # one second of standstill at a time
+        calibration.correct(OdometrySample(0.02 * k, 0.02 * k, speed, 0.01))
+    assert calibration.yaw_rate_offset_radps == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_scale_and_curvature_are_learned_on_the_way(seed: int) -> None:
+    calibration = OdometryCalibration(LocalizeConfig())
+    drive(calibration, np.random.default_rng(seed), scale=1.03, curvature=0.0015)
+    assert calibration.speed_scale == pytest.approx(0.03, abs=0.006)
+    corrected = calibration.correct(OdometrySample(301.0, 301.0, 8.0, 0.0))
+    # offset and curvature look alike at one speed: what counts is their sum
+    assert corrected.yaw_rate_radps == pytest.approx(0.0015 * 8.0, abs=0.0015)
+
+
+def test_right_odometry_stays_as_it_is() -> None:
+    calibration = OdometryCalibration(LocalizeConfig())
+    drive(calibration, np.random.default_rng(5))
+    corrected = calibration.correct(OdometrySample(301.0, 301.0, 8.0, 0.05))
+    assert corrected.speed_mps == pytest.approx(8.0, rel=0.006)
+    assert corrected.yaw_rate_radps == pytest.approx(0.05, abs=0.0015)
+
+
+def test_poses_that_no_pole_holds_teach_nothing() -> None:
+    calibration = OdometryCalibration(LocalizeConfig())
+    for k in range(5000):
+        t = 0.02 * k
+        calibration.correct(OdometrySample(t, t, 10.0, 0.0))
+        calibration.learn(t, np.array([20.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=False)
+    assert calibration.speed_scale == 0.0
+
+
+def test_learning_can_be_switched_off() -> None:
+    calibration = OdometryCalibration(LocalizeConfig(learn_offsets=False))
+    drive(calibration, np.random.default_rng(0), seconds=60.0, scale=1.1)
+    sample = OdometrySample(61.0, 61.0, 8.0, 0.05)
+    assert calibration.correct(sample) == sample
