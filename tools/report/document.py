@@ -115,6 +115,7 @@ def _system(one: SystemResult) -> dict[str, Any]:
         "population_m": mean("population_m"),
         "effective_freedom": mean("freedom"),
         "stations_share": mean("share"),
+        "lost_share": float(np.mean(one.lost_share)),
         "true_lateral_rms_m": float(np.mean(one.true_lateral_rms_m))
         if one.true_lateral_rms_m
         else None,

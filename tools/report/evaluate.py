@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -17,9 +17,11 @@ from tools.report.exclusions import (
     UserInterval,
     evasive_manoeuvres,
     excluded_mask,
+    other_lanes,
     start_up_exclusions,
     u_turns,
     user_exclusions,
+    without,
 )
 from tools.report.laps import Stretch, find_stretches
 from tools.report.repeatability import (
@@ -39,6 +41,7 @@ from tools.report.trajectory import Trajectory
 Floats = NDArray[np.float64]
 
 BLOCK_M = 25.0
+USUAL_WANDER_M = 0.35
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +63,11 @@ class SystemResult:
 
     Attributes:
         repeatability: one a run.
+        lost_share: per run, of the places that count, where the system was missing or further
+            from the path than its reach.
         example: deviations of the first run, excluded parts left out.
         blocks: squared centred deviations over `BLOCK_M` of road, for the bootstrap.
-        true_lateral_rms_m: per run, against the truth at the same station; empty without truth.
+        true_lateral_rms_m: per run, against the truth (else the reference) at the same station.
         accuracy: per run, `accuracy.summary` over all recordings; empty without a reference.
         errors: of the first run, one a recording.
         error_blocks: by kind of error, for the bootstrap.
@@ -70,6 +75,7 @@ class SystemResult:
 
     system: System
     repeatability: tuple[Repeatability, ...]
+    lost_share: tuple[float, ...]
     example: tuple[Deviations, ...]
     blocks: Blocks
     true_lateral_rms_m: tuple[float, ...]
@@ -132,18 +138,23 @@ def evaluate_route(
         crossings(stretch, judge_tracks, guide)
         for stretch, guide in zip(stretches, guides, strict=True)
     ]
-    exclusions = _exclusions(route, stretches, crossed, intervals)
-    masks = [excluded_mask(s, number, exclusions) for number, s in enumerate(stretches)]
-    truth = _tracks(route.recordings, "truth")
-    true_parts = _masked(stretches, truth, guides, masks) if truth else None
-    against = (
-        "truth" if truth else ("reference" if _tracks(route.recordings, "reference") else None)
-    )
+    localized = crossed
+    if judge != "kf":
+        localized = [
+            crossings(stretch, found_in, guide)
+            for stretch, guide in zip(stretches, guides, strict=True)
+        ]
+    exclusions = _exclusions(route, stretches, crossed, localized, intervals)
+    masks = _masks(stretches, crossed, exclusions)
+    against = next((k for k in ("truth", "reference") if _tracks(route.recordings, k)), None)
+    goal = _tracks(route.recordings, against) if against else None
+    true_parts = _masked(stretches, goal, guides, masks) if goal else None
     results = []
     for system in route_systems(route, max_runs):
         results.append(_evaluate(system, route, stretches, masks, guides, true_parts, against))
         advance(len(system.tracks))
     notes = list(route.notes)
+    notes += _wander_note(route.name, judge, [r for r in results if r.system.kind == judge])
     if not stretches:
         notes.append(
             f"{route.name}: no road was driven twice in the same direction: no repeatability"
@@ -164,9 +175,9 @@ def measure(result: RouteResult, system: System) -> SystemResult:
     """Another system on an evaluated route: same passes, stations and exclusions."""
     found_in = [recording.guide for recording in result.route.recordings]
     guides = [guides_of(stretch, found_in) for stretch in result.stretches]
-    masks = [excluded_mask(s, i, result.exclusions) for i, s in enumerate(result.stretches)]
-    truth = result.of_kind("truth")
-    true_parts = truth.example if truth else None
+    masks = _masks(result.stretches, result.crossed, result.exclusions)
+    goal = result.of_kind(result.against) if result.against else None
+    true_parts = goal.example if goal else None
     return _evaluate(
         system, result.route, result.stretches, masks, guides, true_parts, result.against
     )
@@ -214,16 +225,51 @@ def _exclusions(
     route: Route,
     stretches: Sequence[Stretch],
     crossed: Sequence[Sequence[Crossing]],
+    localized: Sequence[Sequence[Crossing]],
     intervals: Sequence[UserInterval],
 ) -> list[Exclusion]:
+    """All that is left out; `crossed` is the judge's view and `localized` the output filter's."""
     found = user_exclusions(stretches, crossed, intervals, route.name)
     settled = [recording.settled_s for recording in route.recordings]
     found += start_up_exclusions(stretches, crossed, settled)
     for number, stretch in enumerate(stretches):
-        found.extend(Exclusion(number, None, a, b, "U-turn") for a, b in u_turns(stretch.path))
-        for one in evasive_manoeuvres(stretch, crossed[number]):
-            found.append(Exclusion(number, one.pass_row, one.start_m, one.end_m, one.reason))
+        found += [Exclusion(number, None, a, b, "U-turn") for a, b in u_turns(stretch.path)]
+        if crossed[number] is not localized[number]:
+            lanes = other_lanes(stretch, crossed[number], localized[number])
+            found += [replace(one, stretch=number) for one in lanes]
+        left = without(crossed[number], excluded_mask(stretch, number, found))
+        evasive = evasive_manoeuvres(stretch, left)
+        found += [replace(one, stretch=number) for one in evasive]
     return found
+
+
+def _masks(
+    stretches: Sequence[Stretch],
+    crossed: Sequence[Sequence[Crossing]],
+    exclusions: Sequence[Exclusion],
+) -> list[NDArray[np.bool_]]:
+    """What does not count: the exclusions, and where the judge did not see the pass.
+
+    So every system is measured at the same places, and the share that it lacks is its own.
+    """
+    masks = []
+    for number, stretch in enumerate(stretches):
+        seen = np.zeros((len(stretch.passes), len(stretch.path.station_m)), dtype=bool)
+        for row, one in enumerate(crossed[number]):
+            seen[row, one.stations] = True
+        masks.append(excluded_mask(stretch, number, exclusions) | ~seen)
+    return masks
+
+
+def _wander_note(route: str, judge: str, judges: Sequence[SystemResult]) -> list[str]:
+    """Say so where the laps were not driven alike, as far as the judge can be believed."""
+    if judge == "kf" or not judges or not judges[0].sd_m > USUAL_WANDER_M:
+        return []
+    return [
+        f"{route}: by the {judge}, the laps differ by {judges[0].sd_m:.2f} m; average drivers "
+        f"wander by 0.10 to 0.27 m. Unless the {judge} itself drifts, this repeatability is that "
+        "of the driver, and the error beside it tells about the localizer"
+    ]
 
 
 def _masked(
@@ -247,16 +293,19 @@ def _evaluate(
     true_parts: Sequence[Deviations] | None,
     against: str | None,
 ) -> SystemResult:
-    repeated, example, squares, weights, true_rms = [], [], [], [], []
+    repeated, lost, example, squares, weights, true_rms = [], [], [], [], [], []
+    wanted = sum(int((~mask).sum()) for mask in masks)
     for number, tracks in enumerate(system.tracks):
         parts = _masked(stretches, tracks, guides, masks)
         repeated.append(repeatability(parts))
+        there = sum(int(part.counted.sum()) for part in parts)
+        lost.append(1.0 - there / wanted if wanted else float("nan"))
         square, weight = _road_blocks(parts)
         squares.append(square)
         weights.append(weight)
         if number == 0:
             example = parts
-        if true_parts is not None and system.kind != "truth":
+        if true_parts is not None and system.kind != against:
             true_rms.append(
                 _rms([p.lateral_m - t.lateral_m for p, t in zip(parts, true_parts, strict=True)])
             )
@@ -270,6 +319,7 @@ def _evaluate(
     return SystemResult(
         system=system,
         repeatability=tuple(repeated),
+        lost_share=tuple(lost),
         example=tuple(example),
         blocks=Blocks(np.array(squares), np.array(weights)),
         true_lateral_rms_m=tuple(true_rms),

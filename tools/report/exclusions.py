@@ -8,6 +8,9 @@ Rules (docs/repeatability.md):
   deviation that follows from the heading alone reaches half of it. A localizer that jumps does
   not turn the car, so that its errors are never excluded. The stretch is widened to where the
   pass is back within a quarter of the limit, by at most 40 m on either side.
+- Another lane: a pass lies more than 1.75 m, half a lane, from the middle one of the passes, and
+  the reference (or truth) and the output filter agree on that. Without a reference the rule does
+  not apply, since it would then excuse the localizer.
 - Start-up: the first 5 s after the particle filter's first pose, in which it still converges.
 """
 
@@ -38,6 +41,8 @@ EVASIVE_MARGIN_M = 40.0
 EVASIVE_STEERED_SHARE = 0.5
 DRIFT_WINDOW_M = 120.0
 START_UP_S = 5.0
+HALF_LANE_M = 1.75
+BRIDGED_M = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +103,51 @@ def u_turns(path: MeanPath) -> list[tuple[float, float]]:
         )
         for a, b in _runs(inside)
     ]
+
+
+def other_lanes(
+    stretch: Stretch, judged: Sequence[Crossing], localized: Sequence[Crossing]
+) -> list[Exclusion]:
+    """Parts of passes on another lane, as the reference and the output filter both see it."""
+    agreed = _off_the_middle(stretch, localized)
+    for row, one in enumerate(localized):
+        # Where the output filter has no pose near the path it cannot object.
+        agreed[row, np.setdiff1d(np.arange(agreed.shape[1]), one.stations)] = True
+    away = _off_the_middle(stretch, judged) & agreed
+    found = []
+    for row, mask in enumerate(away):
+        runs: list[tuple[int, int]] = []
+        for first, last in _runs(mask):
+            if runs and (first - runs[-1][1]) * STATION_STEP_M <= BRIDGED_M:
+                first = runs.pop()[0]
+            runs.append((first, last))
+        for first, last in runs:
+            start, end = stretch.path.station_m[[first, last]]
+            found.append(Exclusion(0, row, float(start), float(end), "another lane"))
+    return found
+
+
+def _off_the_middle(stretch: Stretch, crossed: Sequence[Crossing]) -> NDArray[np.bool_]:
+    """Entries `(passes, stations)` more than half a lane from the middle pass of the station."""
+    lateral = np.full((len(stretch.passes), len(stretch.path.station_m)), np.inf)
+    for row, one in enumerate(crossed):
+        lateral[row, one.stations] = one.lateral_m
+    count = np.isfinite(lateral).sum(axis=0)
+    middle_row = np.maximum((count - 1) // 2, 0)
+    middle = np.sort(lateral, axis=0)[middle_row, np.arange(len(count))]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.isfinite(lateral) & (np.abs(lateral - middle) > HALF_LANE_M))
+
+
+def without(crossed: Sequence[Crossing], mask: NDArray[np.bool_]) -> list[Crossing]:
+    """The crossings that `mask` `(passes, stations)` does not leave out."""
+    kept = []
+    for row, one in enumerate(crossed):
+        keep = ~mask[row, one.stations]
+        kept.append(
+            Crossing(one.stations[keep], one.lateral_m[keep], one.turn_rad[keep], one.stamp_s[keep])
+        )
+    return kept
 
 
 def evasive_manoeuvres(stretch: Stretch, judged: Sequence[Crossing]) -> list[Exclusion]:

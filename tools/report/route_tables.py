@@ -130,6 +130,7 @@ def repeatability_details(results: Sequence[RouteResult]) -> Table:
                     number(mean["population_m"]),
                     number(mean["freedom"], 0),
                     number(100.0 * mean["share"], 0),
+                    number(100.0 * float(np.mean(one.lost_share)), 2),
                 )
             )
     return Table(
@@ -144,21 +145,23 @@ def repeatability_details(results: Sequence[RouteResult]) -> Table:
             "Divided by L [m]",
             "Effective freedom",
             "Stations used [%]",
+            "Missing or lost [%]",
         ),
         tuple(rows),
         "The interval is for the laps as a sample of all laps (chi-square with the effective "
         "degrees of freedom). 'Free of bias' divides by c4; 'divided by L' is the estimator that "
-        "divides by the laps instead of laps − 1.",
+        "divides by the laps instead of laps − 1. Missing or lost: share of the places that count "
+        "where the system had no pose within 12 m of the path; these cannot enter the figure.",
         text_columns=2,
     )
 
 
 def truth_table(results: Sequence[RouteResult]) -> Table:
-    """How much of the measure is the driver: only where the truth is known."""
+    """How much of the measure is the driver, as the truth or else the reference knows it."""
     rows = []
     for result in results:
-        truth = result.of_kind("truth")
-        if truth is None:
+        judge = result.of_kind(result.against) if result.against else None
+        if judge is None or not np.isfinite(judge.sd_m):
             continue
         for one in result.systems:
             if one.true_lateral_rms_m:
@@ -167,10 +170,11 @@ def truth_table(results: Sequence[RouteResult]) -> Table:
                     (
                         result.route.name,
                         one.system.name,
+                        result.against or "–",
                         number(one.sd_m),
-                        number(truth.sd_m),
+                        number(judge.sd_m),
                         with_spread(float(np.mean(values)), _spread(values)),
-                        number(float(np.hypot(truth.sd_m, np.mean(values)))),
+                        number(float(np.hypot(judge.sd_m, np.mean(values)))),
                     )
                 )
     return Table(
@@ -179,16 +183,18 @@ def truth_table(results: Sequence[RouteResult]) -> Table:
         (
             "Route",
             "System",
+            "By the",
             "Repeatability [m]",
             "Driver's wander [m]",
-            "True lateral error [m]",
+            "Lateral error [m]",
             "Root of both squared [m]",
         ),
         tuple(rows),
-        "Wander: the repeatability of the true trajectory. True lateral error: root mean square at "
-        "the same stations. If error and wander are independent, the root of both squared is "
-        "the repeatability, except for errors that return on every lap.",
-        text_columns=2,
+        "Wander: the repeatability of the true trajectory, or of the reference where there is no "
+        "truth. Lateral error: root mean square against it at the same stations. If error and "
+        "wander are independent, the root of both squared is the repeatability, except for "
+        "errors that return on every lap.",
+        text_columns=3,
     )
 
 

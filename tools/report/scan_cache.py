@@ -11,21 +11,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivelog.atomic import atomic_file
 from drivelog.drive import Drive
-from drivelog.errors import InputError
 from drivelog.samples import PoleScan, VisibleRegion
-from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
-from polemap.detection import detect
-from polemap.models.io import read_classifier
-from polemap.perception import scan_drive
+from polemap.perception import PolePerception, scan_drive
 from stereo.config import StereoConfig
-from stereo.matching import make_matcher
 
 Floats = NDArray[np.float64]
 
@@ -56,15 +52,11 @@ def raw_scans(
     drive: Drive, polemap: PolemapConfig, stereo: StereoConfig, rows: Sequence[int]
 ) -> list[PoleScan]:
     """Poles of the frames `rows` of a drive, not tracked; a pole's existence is its probability."""
-    if drive.rig is None:
-        raise InputError(f"drive {drive.name}: it has images but no camera")
-    matcher = make_matcher(stereo, drive.rig)
-    classifier: PoleClassifier = read_classifier(polemap.detection.model)
+    perception = PolePerception(drive.rig, polemap, stereo=stereo)
     scans = []
     for row in rows:
         frame = drive.read_frame(row)
-        disparity = matcher.match(frame.left, frame.right)
-        view = detect(frame.left, disparity, drive.rig, classifier, polemap.detection)
+        view = perception.look(frame).view
         found = view.detections
         scans.append(
             PoleScan(
@@ -121,7 +113,7 @@ def read_scans(path: Path) -> list[PoleScan] | None:
     try:
         with np.load(path, allow_pickle=False) as kept:
             data = {name: kept[name] for name in kept.files}
-    except (OSError, ValueError, EOFError):
+    except (OSError, ValueError, EOFError, BadZipFile):
         return None
     if int(data.get("format", np.array(0))) != FORMAT:
         return None

@@ -12,11 +12,13 @@ from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from drivelog.atomic import atomic_file
 from drivelog.drive import Drive, open_drive
+from drivelog.errors import InputError
 from drivelog.samples import PoleScan
 from localize.replay import replay
 from polemap.io import read_map
@@ -121,16 +123,25 @@ def do_job(job: DetectJob | ReplayJob) -> None:
 
 
 def read_result(path: Path, seed: int) -> Run:
-    """What a replay job kept."""
-    with np.load(path, allow_pickle=False) as kept:
-        return Run(
-            seed=seed,
-            pf=Trajectory(kept["pf_stamp_s"], kept["pf_poses"]),
-            kf=Trajectory(kept["kf_stamp_s"], kept["kf_poses"]),
-            health={},
-            timings={},
-            metrics=json.loads(str(kept["metrics"])),
-        )
+    """What a replay job kept.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return Run(
+                seed=seed,
+                pf=Trajectory(kept["pf_stamp_s"], kept["pf_poses"]),
+                kf=Trajectory(kept["kf_stamp_s"], kept["kf_poses"]),
+                health={},
+                timings={},
+                metrics=json.loads(str(kept["metrics"])),
+            )
+    except (OSError, ValueError, EOFError, KeyError, BadZipFile):
+        raise InputError(
+            f"{path}: this kept part of a sweep is damaged; delete it and rerun"
+        ) from None
 
 
 def open_input(source: Input) -> Drive:
@@ -152,7 +163,10 @@ def _tracked(
     drive, _ = _open(source)
     raw: list[PoleScan] = []
     for file in files:
-        raw += read_scans(Path(file)) or []
+        part = read_scans(Path(file))
+        if part is None:
+            raise InputError(f"{file}: this kept part of a sweep is damaged; delete it and rerun")
+        raw += part
     if not drive.has_frames:
         raw = list(drive.scans)
     return tuple(tracked_scans(drive, raw, every, Settings.model_validate_json(settings).polemap))

@@ -239,6 +239,62 @@ def make_runs(course: Course, drive_course: Callable[..., Driven]) -> Callable[.
     return make
 
 
+@pytest.fixture(scope="session")
+def make_sensor_drive(course: Course, drive_course: Callable[..., Driven]) -> Callable[..., Path]:
+    """A plain drive folder with odometry, GNSS and detected poles; the map lies beside it."""
+
+    def make(folder: Path, laps: int = 2, seed: int = 0) -> Path:
+        rng = np.random.default_rng([seed, 3])
+        driven = drive_course(
+            seed, laps=laps, sd=0.12, correlation_m=20.0, rate_hz=20.0, speed_mps=13.0
+        )
+        truth, count, step_s = driven.truth, len(driven.truth), 0.05
+        folder.mkdir(parents=True)
+        head = {
+            "format_version": 1,
+            "name": folder.name,
+            "frame": {"kind": "local", "name": "test_plane"},
+            "vehicle": {"wheelbase_m": 2.7},
+        }
+        (folder / "drive.yaml").write_text(yaml.safe_dump(head))
+        moved = np.hypot(*np.diff(truth.poses[:, :2], axis=0, append=truth.poses[-1:, :2]).T)
+        speed = 1.005 * moved / step_s + rng.normal(0.0, 0.03, count)
+        rate = np.gradient(np.unwrap(truth.poses[:, 2]), step_s) + rng.normal(0.0, 0.003, count)
+        _write_table(
+            folder / "odometry.csv", "stamp_s,speed_mps,yaw_rate_radps", truth.stamp_s, speed, rate
+        )
+        fixes = truth.poses[::20, :2] + rng.normal(0.0, 1.0, (len(truth.poses[::20]), 2))
+        hdop = np.ones(len(fixes))
+        _write_table(
+            folder / "gnss.csv", "stamp_s,east_m,north_m,hdop", truth.stamp_s[::20], *fixes.T, hdop
+        )
+        _write_poses(folder / "reference.csv", truth, ",0.02", "sd_m")
+        places = np.arange(0.0, course.length_m, 9.0)
+        sides = np.where(np.arange(len(places)) % 2, 5.0, -5.0) + rng.normal(0, 1.0, len(places))
+        poles = course.poses(places + rng.normal(0.0, 2.0, len(places)), sides)[:, :2]
+        seen = []
+        for stamp, (x, y, yaw) in zip(truth.stamp_s[::2], truth.poses[::2], strict=True):
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            around = (poles - (x, y)) @ np.array([[cos, -sin], [sin, cos]])
+            distance, bearing = np.hypot(*around.T), np.arctan2(around[:, 1], around[:, 0])
+            here = (distance < 25.0) & (distance > 3.0) & (np.abs(bearing) < 0.6)
+            here &= rng.random(len(poles)) < 0.85
+            for px, py in around[here] + rng.normal(0.0, 0.12, (int(here.sum()), 2)):
+                seen.append((stamp, px, py, 0.0144, 0.0144, 0.0, 0.2))
+        names = "stamp_s,x_m,y_m,var_x_m2,var_y_m2,cov_xy_m2,width_m"
+        _write_table(folder / "poles.csv", names, *np.array(seen).T)
+        _write_table(folder / "scans.csv", "stamp_s", truth.stamp_s[::2])
+        _write_table(folder.with_suffix(".csv"), "east_m,north_m", *poles.T)
+        return folder
+
+    return make
+
+
+def _write_table(path: Path, header: str, *columns: Floats) -> None:
+    rows = (",".join(f"{value:.6f}" for value in row) for row in zip(*columns, strict=True))
+    path.write_text(header + "\n" + "\n".join(rows) + "\n")
+
+
 def _write_poses(path: Path, track: Trajectory, tail: str = "", extra: str = "") -> None:
     header = "stamp_s,east_m,north_m,yaw_rad" + (f",{extra}" if extra else "")
     lines = [

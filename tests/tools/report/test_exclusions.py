@@ -12,7 +12,9 @@ from drivelog.errors import ConfigError
 from tools.report.exclusions import (
     evasive_manoeuvres,
     excluded_mask,
+    other_lanes,
     parse_interval,
+    start_up_exclusions,
     u_turns,
     user_exclusions,
 )
@@ -97,3 +99,33 @@ def test_user_intervals(drive_course: Maker) -> None:
 def test_intervals_that_make_no_sense(text: str) -> None:
     with pytest.raises(ConfigError, match="--exclude"):
         parse_interval(text)
+
+
+def moved_aside(track: Trajectory, start_s: float, end_s: float, left_m: float) -> Trajectory:
+    poses = track.poses.copy()
+    inside = (track.stamp_s >= start_s) & (track.stamp_s <= end_s)
+    poses[inside, 0] -= left_m * np.sin(poses[inside, 2])
+    poses[inside, 1] += left_m * np.cos(poses[inside, 2])
+    return Trajectory(track.stamp_s, poses)
+
+
+def test_another_lane_needs_two_witnesses(drive_course: Maker) -> None:
+    """3.5 m to the left for 10 s of the second of three laps."""
+    same = drive_course(0, laps=3, sd=0.1, rate_hz=10.0).truth
+    other = moved_aside(same, 60.0, 70.0, 3.5)
+    (stretch,) = find_stretches([same])
+    guides = guides_of(stretch, [same])
+    plain, aside = (crossings(stretch, [track], guides) for track in (same, other))
+    (found,) = other_lanes(stretch, aside, aside)
+    assert found.pass_row == 1
+    assert found.end_m - found.start_m == pytest.approx(80.0, abs=3.0)
+    # A localizer that alone claims it is wrong, and that counts; so does a reference alone.
+    assert other_lanes(stretch, plain, aside) == []
+    assert other_lanes(stretch, aside, plain) == []
+
+
+def test_start_up_is_left_out(drive_course: Maker) -> None:
+    stretch, crossed = judged(drive_course(0, laps=3, rate_hz=10.0).truth)
+    (found,) = start_up_exclusions([stretch], [crossed], [5.0])
+    assert found.pass_row == 0
+    assert found.end_m - found.start_m == pytest.approx(40.0, abs=2.0)

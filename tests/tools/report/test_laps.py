@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivelog.drive import open_drive
 from tools.report.laps import Span, find_stretches, road_length_m
 from tools.report.trajectory import Trajectory
 
@@ -90,3 +91,20 @@ def test_laps_in_several_recordings(drive_course: Maker) -> None:
 def test_road_length_counts_a_road_once(drive_course: Maker, course: Any) -> None:
     length = road_length_m([drive_course(0, laps=3, rate_hz=10.0).truth])
     assert length == pytest.approx(course.length_m, abs=12.0)
+
+
+def test_streets_of_victoria_park(recording: Any) -> None:
+    """A real tour: laps.csv names two halves, not laps; the shared streets are found."""
+    drive = open_drive(recording("victoria_park/drive"))
+    assert drive.reference is not None
+    track = Trajectory(drive.reference.stamp_s, drive.reference.poses)
+    named = [Span(0, lap.start_s, lap.end_s, lap.name) for lap in drive.laps]
+    stretches = find_stretches([track], named)
+    assert len(stretches) >= 8
+    assert sum(one.path.length_m for one in stretches) > 800.0
+    assert max(len(one.passes) for one in stretches) >= 4
+    for one in stretches:
+        for lap in one.passes:
+            part = track.between(lap.start_s, lap.end_s).poses[:, :2]
+            away = np.min(np.hypot(*(part[:, None] - one.path.points_m[::4]).T), axis=0)
+            assert np.median(away) < 8.0
