@@ -147,15 +147,30 @@ def _carried(counts: Evidence, old: OldMap, cluster: Whole, points: Floats) -> E
     """
     n = len(points)
     seen, looks = np.zeros(n), np.zeros(n)
-    links = np.unique(np.stack([old.pole, cluster], axis=1), axis=0)
-    np.add.at(seen, links[:, 1], counts.seen[links[:, 0]])
-    np.add.at(looks, links[:, 1], counts.looks[links[:, 0]])
-    new = np.setdiff1d(np.arange(n), cluster)
+    heirs = _heirs(old, cluster)
+    np.add.at(seen, heirs[:, 1], counts.seen[heirs[:, 0]])
+    np.add.at(looks, heirs[:, 1], counts.looks[heirs[:, 0]])
+    new = np.setdiff1d(np.arange(n), heirs[:, 1])
     if len(new) and len(cluster):
         distance, row = KDTree(old.landmarks.points_m).query(points[new])
         near = np.asarray(distance) <= _NEIGHBOUR_M
         looks[new[near]] = counts.looks[old.pole[np.asarray(row)[near]]]
     return Evidence(seen, looks)
+
+
+def _heirs(old: OldMap, cluster: Whole) -> Whole:
+    """Pairs `(pole of the old map, cluster)`: where most of its sightings went.
+
+    Stray passes that now stand alone inherit nothing.
+    """
+    width = int(cluster.max(initial=0)) + 1
+    links, row = np.unique(old.pole * width + cluster, return_inverse=True)
+    weight = np.bincount(row, old.landmarks.observations)
+    pole = links // width
+    order = np.lexsort((links, -weight, pole))
+    _, first = np.unique(pole[order], return_index=True)
+    chosen = links[order][first]
+    return np.stack([chosen // width, chosen % width], axis=1)
 
 
 def _finish(
@@ -170,16 +185,17 @@ def _finish(
     n = len(merged)
     prior = np.zeros(n)
     old_rows = merged.owner[len(landmarks) - len(old.pole) :] if old is not None else None
-    if old is not None and old_rows is not None:
-        np.maximum.at(prior, old_rows, old.prior_log_odds[old.pole])
+    heirs = _heirs(old, old_rows) if old is not None and old_rows is not None else None
+    if old is not None and heirs is not None:
+        np.maximum.at(prior, heirs[:, 1], old.prior_log_odds[heirs[:, 0]])
     stands = existence([counts for _, _, counts in drives], config, prior)
     observations = np.bincount(merged.owner, landmarks.observations, n).astype(np.int64)
     known = np.zeros(n, dtype=bool)
-    if old_rows is not None and old is not None and update is not None:
+    if heirs is not None and update is not None:
         stood = update.existence >= config.existence_min
-        known[old_rows[stood[old.pole]]] = True
+        known[heirs[stood[heirs[:, 0]], 1]] = True
     solid = known | (observations >= config.observations_min)
-    ids = _ids(merged, old, old_rows, update)
+    ids = _ids(len(merged), heirs, update)
     every = PoleMap(
         frame=frame,
         ids=ids,
@@ -196,8 +212,10 @@ def _finish(
     keep = solid & np.where(
         known, stands >= config.existence_min, stands > config.existence_min + 1e-6
     )
-    every = _with_history(every, keep | solid, landmarks, merged.owner, drives)
-    doubtful = every.rows(solid & ~keep)
+    # what was seen half as often as is needed may be confirmed by the next drive
+    waits = (known | (observations >= max(2, config.observations_min // 2))) & ~keep
+    every = _with_history(every, keep | waits, landmarks, merged.owner, drives)
+    doubtful = every.rows(waits)
     just_below = np.nextafter(config.existence_min, 0.0)
     doubtful = replace(doubtful, existence=np.minimum(doubtful.existence, just_below))
     standing = replace(every.rows(keep), doubtful=doubtful)
@@ -216,22 +234,15 @@ def _with_history(
     return replace(every, extra={**every.extra, COLUMN: history})
 
 
-def _ids(
-    merged: Merged, old: OldMap | None, old_rows: Whole | None, update: PoleMap | None
-) -> Whole:
+def _ids(n: int, heirs: Whole | None, update: PoleMap | None) -> Whole:
     """Poles of the old map keep their ids; new ones are numbered from south to north."""
-    n = len(merged)
-    if old is None or old_rows is None or update is None:
+    if heirs is None or update is None:
         return np.arange(n, dtype=np.int64)
     none = np.iinfo(np.int64).max
     ids = np.full(n, none, dtype=np.int64)
-    np.minimum.at(ids, old_rows, update.ids[old.pole])
+    np.minimum.at(ids, heirs[:, 1], update.ids[heirs[:, 0]])
     fresh = ids == none
     ids[fresh] = int(update.ids.max()) + 1 + np.arange(np.count_nonzero(fresh))
-    # two new poles cannot come from one old one: whoever is farther from it gets a new number
-    _, first = np.unique(ids, return_index=True)
-    twice = np.setdiff1d(np.arange(n), first)
-    ids[twice] = int(ids.max()) + 1 + np.arange(len(twice))
     return ids
 
 

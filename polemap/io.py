@@ -23,7 +23,7 @@ from drivelog.atomic import atomic_file
 from drivelog.errors import FrameError, InputError
 from drivelog.frames import EarthFrame
 from drivelog.tables import read_table
-from polemap.formats import geojson, geoparquet
+from polemap.formats import geojson, geoparquet, opendrive, osm
 from polemap.formats.columns import KNOWN, from_columns, to_columns
 from polemap.landmark_map import PoleMap
 
@@ -40,6 +40,22 @@ def check_writable(path: Path) -> None:
     if Path(path).suffix.lower() not in _WRITERS:
         known = ", ".join(sorted(_WRITERS))
         raise InputError(f"{path}: a map is written as one of {known}; choose such an ending")
+
+
+def export_map(pole_map: PoleMap, path: Path) -> None:
+    """Write a map in any format, those for other programs (.osm, .xodr) included.
+
+    Raises:
+        InputError: an ending that is not known, or a place that cannot be written to.
+        FrameError: the format needs WGS84 and the map is in a local frame.
+    """
+    path = Path(path)
+    writers = _WRITERS | _EXPORTERS
+    if path.suffix.lower() not in writers:
+        known = ", ".join(sorted(writers))
+        raise InputError(f"{path}: a map is exported as one of {known}; choose such an ending")
+    with atomic_file(path) as part:
+        writers[path.suffix.lower()](pole_map, part)
 
 
 def write_map(pole_map: PoleMap, path: Path) -> None:
@@ -196,12 +212,27 @@ def _read_csv(path: Path, frame: EarthFrame | None) -> PoleMap:
     return from_columns(frame, points, columns, notes=(note,))
 
 
+def _write_osm(pole_map: PoleMap, path: Path) -> None:
+    path.write_bytes(osm.to_xml(pole_map))
+
+
+def _read_osm(path: Path, frame: EarthFrame | None) -> PoleMap:
+    return osm.from_xml(path.read_bytes(), frame)
+
+
+def _write_opendrive(pole_map: PoleMap, path: Path) -> None:
+    path.write_bytes(opendrive.to_xml(pole_map))
+
+
 _READERS = {
     ".gpkg": _read_geopackage,
     ".geojson": _read_geojson,
     ".json": _read_geojson,
     ".parquet": _read_parquet,
     ".csv": _read_csv,
+    ".osm": _read_osm,
 }
 _WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
+# for other programs only: they keep less than the whole map
+_EXPORTERS = {".osm": _write_osm, ".xodr": _write_opendrive}
 MAP_ENDINGS = tuple(sorted(_READERS))

@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from drivelog.drive import Drive, open_drive
 from drivelog.errors import InputError
-from drivelog.samples import PoleScan
-from polemap.build import BuiltMap, build_map
-from polemap.io import check_writable, read_map, write_map
+from polemap.build import BuiltMap, assemble_map, build_map, unique_names
+from polemap.city.io import clear
+from polemap.city.work import DriveTask, observe_all
+from polemap.io import check_writable, export_map, read_map, write_map
 from polemap.landmark_map import PoleMap
-from polemap.perception import scan_drive
-from tools.progress import Advance, progress
+from polemap.upkeep import CHANGE, DISTANCE, compare_maps, diff_map
+from tools.map_worker import observe_task, open_part, scan
+from tools.progress import progress
 from tools.settings import ConfigOption, SeedOption, SetOption, Settings, load_settings
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where drives are looked at."""
+
+    checkpoints: Path
+    workers: int | None
+    scheduler: str | None
 
 
 def command(
     drives: Annotated[
-        list[Path] | None, typer.Argument(help="Drives with reference poses, of any known kind.")
+        list[Path] | None,
+        typer.Argument(
+            help="Drives with reference poses, of any known kind; two maps with --diff."
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Map to write: .gpkg, .geojson or .parquet.")
@@ -33,6 +48,19 @@ def command(
     align: Annotated[
         bool, typer.Option("--align", help="Lay drives onto each other before merging.")
     ] = False,
+    diff: Annotated[
+        bool, typer.Option("--diff", help="Compare two maps instead: polemap map --diff A B.")
+    ] = False,
+    convert: Annotated[
+        Path | None,
+        typer.Option("--convert", help="A map or inventory to write in another format instead."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Local processes, a drive each.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", help="Dask scheduler, such as tcp://host:8786.")
+    ] = None,
     seed: SeedOption = 0,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -43,31 +71,91 @@ def command(
         polemap map drives/monday --out campus.gpkg
         polemap map drives/park --lap map --out park.geojson
         polemap map drives/tuesday drives/friday --update campus.gpkg --align --out campus.gpkg
+        polemap map drives/* --workers 8 --out city.parquet
+        polemap map --diff campus_old.gpkg campus.gpkg --out changes.geojson
+        polemap map --convert lamps.osm --out lamps.gpkg
+        polemap map --convert campus.gpkg --out campus.xodr
 
     The ending of --out chooses the format. Poles that were seen too seldom for how often they were
     in view are left out; `docs/maps.md` has the rules and the columns.
     """
     settings = load_settings(config, set_values)
+    if diff:
+        _compare(drives or [], out, align)
+        return
+    if convert is not None:
+        _convert(convert, drives or [], out, seed)
+        return
     if not drives:
         raise InputError("no drive is given: polemap map DRIVE... --out MAP")
     if out is None:
         raise InputError("--out is missing: it names the map to write, such as campus.gpkg")
     check_writable(out)
-    opened = [_open(path, lap, seed) for path in drives]
-    old = read_map(update, opened[0].frame, allow_empty=True) if update is not None else None
-    built = _build(opened, settings, old, align)
+    opened = [open_part(path, lap, seed) for path in drives]
+    # the map keeps its own zone: drives come to it
+    old = read_map(update, allow_empty=True) if update is not None else None
+    frame = old.frame if old is not None else opened[0].frame
+    folder = out.parent / f".{out.name}.checkpoints"
+    if workers is None and scheduler is None:
+        built = _build(opened, settings, old, align)
+    else:
+        names = unique_names(opened)
+        text = settings.model_dump_json()
+        tasks = [
+            DriveTask(str(path.resolve()), name, lap, seed, frame, text)
+            for path, name in zip(drives, names, strict=True)
+        ]
+        place = _Place(folder, workers, scheduler)
+        built = _build_apart(opened, tasks, settings, old, align, place)
     if not len(built.pole_map):
         raise InputError(
             f"no pole was found in {len(opened)} drives, {out} was not written; try a lower "
             "--set polemap.mapping.observations_min"
         )
     write_map(built.pole_map, out)
+    if folder.is_dir():
+        clear(folder)
     _say(built, opened, out)
 
 
-def _open(path: Path, lap: str | None, seed: int) -> Drive:
-    drive = open_drive(path, seed=seed)
-    return drive.lap(lap) if lap is not None else drive
+def _compare(maps: list[Path], out: Path | None, align: bool) -> None:
+    if len(maps) != 2:
+        raise InputError(f"--diff compares two maps, {len(maps)} are given: --diff OLD NEW")
+    if out is not None:
+        check_writable(out)
+    before = read_map(maps[0], allow_empty=True)
+    after = read_map(maps[1], before.frame, allow_empty=True)
+    found = compare_maps(before, after, align=align)
+    changes = diff_map(before, after, found)
+    if found.shift.significant:
+        east, north = found.shift.move_m
+        remedy = "it was taken away" if align else "--align would take it away"
+        typer.echo(
+            f"note: {maps[1]} is off by {-east:+.2f} m east, {-north:+.2f} m north; {remedy}"
+        )
+    if out is not None:
+        write_map(changes, out)
+    typer.echo(
+        f"{len(found.added)} added, {len(found.removed)} removed, {len(found.moved)} moved, "
+        f"{len(found.same)} as before"
+    )
+    for row in range(len(changes)):
+        east, north = changes.points_m[row]
+        distance = changes.extra[DISTANCE][row]
+        far = f" by {distance:.2f} m" if np.isfinite(distance) else ""
+        change = changes.extra[CHANGE][row]
+        typer.echo(f"{change:<8} pole {changes.ids[row]} at {east:.2f}, {north:.2f}{far}")
+
+
+def _convert(source: Path, drives: list[Path], out: Path | None, seed: int) -> None:
+    if out is None:
+        raise InputError("--out is missing: its ending chooses the format to convert to")
+    frame = open_drive(drives[0], seed=seed).frame if drives else None
+    pole_map = read_map(source, frame)
+    export_map(pole_map, out)
+    for note in pole_map.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"{out}: {len(pole_map)} poles in {pole_map.frame}")
 
 
 def _build(drives: list[Drive], settings: Settings, old: PoleMap | None, align: bool) -> BuiltMap:
@@ -76,24 +164,31 @@ def _build(drives: list[Drive], settings: Settings, old: PoleMap | None, align: 
         return build_map(
             drives,
             settings.polemap,
-            lambda drive: _scan(drive, settings, advance),
+            lambda drive: scan(drive, settings, advance),
             update=old,
             align=align,
         )
 
 
-def _scan(drive: Drive, settings: Settings, advance: Advance) -> Sequence[PoleScan]:
-    """Poles in the images; poles that were detected elsewhere go to the building as they are.
-
-    The building joins sightings over whole passes with the reference, which is stronger than any
-    tracking on odometry: a tracker before it would only lose some.
-    """
-    if drive.has_frames:
-        return scan_drive(drive, settings.polemap, advance, stereo=settings.stereo)
-    if not drive.scans:
-        raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
-    advance(len(drive.scans))
-    return drive.scans
+def _build_apart(
+    drives: list[Drive],
+    tasks: list[DriveTask],
+    settings: Settings,
+    old: PoleMap | None,
+    align: bool,
+    place: _Place,
+) -> BuiltMap:
+    """The same map by workers, a drive each; what they finished survives a killed run."""
+    with progress(len(drives), "drives") as advance:
+        parts = observe_all(
+            tasks,
+            observe_task,
+            place.checkpoints,
+            workers=place.workers,
+            scheduler=place.scheduler,
+            done=advance,
+        )
+    return assemble_map(parts, settings.polemap.mapping, tasks[0].frame, update=old, align=align)
 
 
 def _say(built: BuiltMap, drives: list[Drive], out: Path) -> None:

@@ -1,0 +1,116 @@
+"""Pole maps as OpenStreetMap XML, and nodes of an OpenStreetMap extract as a first map.
+
+The tags are those of OpenStreetMap's own schema; what it has no tag for stands under `polemap:`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.errors import FrameError, InputError
+from drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.formats.geojson import from_inventory
+from polemap.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+
+# tags of nodes that stand up like poles
+POLES = {
+    "highway": {"street_lamp", "traffic_signals"},
+    "power": {"pole"},
+    "natural": {"tree"},
+    "man_made": {"utility_pole", "mast", "flagpole"},
+    "barrier": {"bollard"},
+    "support": {"pole"},
+}
+
+
+def to_xml(pole_map: PoleMap) -> bytes:
+    """The map as an .osm document; ids are negative, as those of objects not yet uploaded are.
+
+    Raises:
+        FrameError: the map is in a local frame.
+    """
+    if not pole_map.frame.is_utm:
+        raise FrameError(f"OpenStreetMap needs WGS84 positions, but the map is in {pole_map.frame}")
+    place = geographic_from_grid(pole_map.frame, pole_map.points_m)
+    root = ElementTree.Element("osm", version="0.6", generator="polemap", upload="false")
+    for row in range(len(pole_map)):
+        node = ElementTree.SubElement(
+            root,
+            "node",
+            id=str(-(int(pole_map.ids[row]) + 1)),
+            visible="true",
+            version="1",
+            lat=f"{place[row, 0]:.9f}",
+            lon=f"{place[row, 1]:.9f}",
+        )
+        for key, value in _tags(pole_map, row).items():
+            ElementTree.SubElement(node, "tag", k=key, v=value)
+    ElementTree.indent(root)
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _tags(pole_map: PoleMap, row: int) -> dict[str, str]:
+    tags = {"man_made": "utility_pole"}
+    if np.isfinite(pole_map.height_m[row]):
+        tags["height"] = f"{pole_map.height_m[row]:.2f}"
+    if np.isfinite(pole_map.width_m[row]):
+        tags["diameter"] = f"{1000 * pole_map.width_m[row]:.0f} mm"
+    sd = np.sqrt(np.trace(pole_map.covariance_m2[row]) / 2.0)
+    tags["polemap:id"] = str(pole_map.ids[row])
+    tags["polemap:sd_m"] = f"{sd:.3f}"
+    tags["polemap:existence"] = f"{pole_map.existence[row]:.3f}"
+    return tags
+
+
+def from_xml(data: bytes, frame: EarthFrame | None) -> PoleMap:
+    """The nodes of an .osm extract that stand up like poles, as a first map.
+
+    Raises:
+        InputError: no OpenStreetMap XML, or no such node in it.
+    """
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise InputError("a document type or entity stands in it; OpenStreetMap files have none")
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        raise InputError(f"not XML ({error})") from error
+    if root.tag != "osm":
+        raise InputError(f"not OpenStreetMap XML: its root is <{root.tag[:40]}>")
+    positions, properties = [], []
+    for node in root.iter("node"):
+        tags = {str(tag.get("k")): str(tag.get("v")) for tag in node.iter("tag")}
+        if not any(tags.get(key) in values for key, values in POLES.items()):
+            continue
+        try:
+            positions.append([float(node.get("lon", "")), float(node.get("lat", ""))])
+        except ValueError:
+            raise InputError(f"node {node.get('id')} has no position") from None
+        properties.append(_properties(tags))
+    if not positions:
+        raise InputError("no node in it is a lamp, pole, mast, bollard or tree")
+    return from_inventory(np.array(positions), properties, frame, ())
+
+
+def _properties(tags: dict[str, str]) -> dict[str, Any]:
+    return {"height_m": _metres(tags.get("height")), "width_m": _metres(tags.get("diameter"))}
+
+
+def _metres(text: str | None) -> float | None:
+    """A length as OpenStreetMap writes it: metres without a unit, `m`, `cm` or `mm`."""
+    if text is None:
+        return None
+    words = text.replace(",", ".").strip().lower()
+    for unit, scale in (("mm", 0.001), ("cm", 0.01), ("m", 1.0), ("", 1.0)):
+        if words.endswith(unit):
+            try:
+                value = float(words[: len(words) - len(unit)]) * scale
+            except ValueError:
+                continue
+            return value if 0.0 < value < 500.0 else None
+    return None

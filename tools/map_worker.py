@@ -1,0 +1,43 @@
+"""What a worker of `polemap map --workers` does: one drive, from its path to its observations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivelog.drive import Drive, open_drive
+from drivelog.errors import InputError
+from drivelog.samples import PoleScan
+from polemap.build import observe
+from polemap.city.work import DriveTask
+from polemap.observe import DriveObservations
+from polemap.perception import scan_drive
+from tools.progress import Advance
+from tools.settings import Settings
+
+
+def open_part(path: Path, lap: str | None, seed: int) -> Drive:
+    """A drive, or the lap of it."""
+    drive = open_drive(path, seed=seed)
+    return drive.lap(lap) if lap is not None else drive
+
+
+def scan(drive: Drive, settings: Settings, advance: Advance) -> list[PoleScan]:
+    """Poles in the images; poles that were detected elsewhere go to the building as they are.
+
+    The building joins sightings over whole passes with the reference, which is stronger than any
+    tracking on odometry: a tracker before it would only lose some.
+    """
+    if drive.has_frames:
+        return scan_drive(drive, settings.polemap, advance, stereo=settings.stereo)
+    if not drive.scans:
+        raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
+    advance(len(drive.scans))
+    return list(drive.scans)
+
+
+def observe_task(task: DriveTask) -> DriveObservations:
+    """Look at one drive and give what it contributes to the map."""
+    settings = Settings.model_validate_json(task.settings)
+    drive = open_part(Path(task.path), task.lap, task.seed)
+    scans = scan(drive, settings, lambda _steps: None)
+    return observe(drive, task.name, scans, settings.polemap.mapping, task.frame)
