@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,9 @@ from hypothesis import strategies as st
 
 import tests.stereo.census_reference as reference
 from stereo.census import census_pairs
+from stereo.config import Penalties, StereoConfig
+from stereo.errors import StereoError
+from stereo.matching import make_matcher
 
 kernel = pytest.importorskip("stereo.native.census_kernel")
 
@@ -64,7 +69,7 @@ def run(left, right, options, threads=1, instruction_set="auto"):
 
 
 @given(problems())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_every_build_and_thread_count_equals_the_reference(problem):
     left, right, options = problem
     expected = reference.match(left, right, options)
@@ -73,3 +78,100 @@ def test_every_build_and_thread_count_equals_the_reference(problem):
             got = run(left, right, options, threads, instruction_set)
             for name, one, two in zip(MAPS, expected, got, strict=True):
                 np.testing.assert_array_equal(one, two, err_msg=f"{name} {instruction_set}")
+
+
+def textured(seed, shape, top=255):
+    rng = np.random.default_rng(seed)
+    return cv2.GaussianBlur(rng.uniform(0, top, shape), (3, 3), 0)
+
+
+@given(
+    st.integers(0, 2**31),
+    st.integers(0, 40),
+    st.sampled_from(["shared", "own"]),
+    st.sampled_from([4, 8]),
+    st.sampled_from([8, 12]),
+)
+@settings(max_examples=15, deadline=None)
+def test_a_shifted_image_has_one_disparity_in_both_views(seed, shift, right_map, paths, bits):
+    wide = textured(seed, (40, 200 + shift), 2**bits - 1).astype(
+        np.uint8 if bits == 8 else np.uint16
+    )
+    left, right = wide[:, :200], wide[:, shift:]
+    config = StereoConfig(disparities=48, right_map=right_map, paths=paths, uint16_bits=bits)
+    pair = make_matcher(config).match(left, right)
+    # at the edges of the image the census sees repeated pixels
+    for disparity in (pair.left[4:-4, shift + 6 : -6], pair.right[4:-4, 6 : 194 - shift]):
+        assert np.isfinite(disparity).mean() > 0.99
+        assert np.nanmax(np.abs(disparity - shift)) <= 0.5  # a parabola's top
+        assert abs(np.nanmean(disparity) - shift) < 0.05
+
+
+@given(st.integers(0, 2**31), st.sampled_from([4, 8]), st.booleans())
+@settings(max_examples=10, deadline=None)
+def test_mirrored_and_exchanged_views_give_the_mirrored_maps(seed, paths, median):
+    left = textured(seed, (30, 120)).astype(np.uint8)
+    right = np.roll(left, -7, axis=1)
+    config = StereoConfig(disparities=32, right_map="own", paths=paths, median=median)
+    matcher = make_matcher(config)
+    pair = matcher.match(left, right)
+    mirrored = matcher.match(right[:, ::-1], left[:, ::-1])
+    for one, two in (("left", "right"), ("left_unchecked", "right_unchecked")):
+        np.testing.assert_array_equal(getattr(pair, two), getattr(mirrored, one)[:, ::-1])
+        np.testing.assert_array_equal(getattr(pair, one), getattr(mirrored, two)[:, ::-1])
+
+
+@given(st.floats(0.4, 1.5), st.floats(-20, 40), st.integers(0, 2**31))
+@settings(max_examples=10, deadline=None)
+def test_census_does_not_see_gain_and_offset(gain, offset, seed):
+    wide = textured(seed, (40, 160), 1500)
+    left, right = wide[:, :150] + 300, wide[:, 9:159] + 300
+    config = StereoConfig(disparities=32, right_map="shared", uint16_bits=12)
+    matcher = make_matcher(config)
+    plain = matcher.match(left.astype(np.uint16), right.astype(np.uint16))
+    changed = matcher.match(left.astype(np.uint16), (gain * right + offset).astype(np.uint16))
+    known = np.isfinite(plain.left) & np.isfinite(changed.left)
+    # rounding makes or breaks ties, no more
+    assert known.mean() > 0.9
+    assert np.mean(np.abs(plain.left - changed.left)[known] < 0.5) > 0.995
+
+
+def test_the_search_range_is_kept_with_an_offset():
+    wide = textured(1, (30, 260)).astype(np.uint8)
+    left, right = wide[:, :200], wide[:, 45:245]
+    pair = make_matcher(StereoConfig(min_disparity_px=40, disparities=16)).match(left, right)
+    assert np.nanmax(np.abs(pair.left[4:-4, 52:-6] - 45)) <= 0.5
+    assert np.isnan(pair.left[:, :40]).all()
+    assert pair.left_unchecked is not None
+    assert np.isnan(pair.left_unchecked[:, :40]).all()
+    assert np.isfinite(pair.left_unchecked[:, 40:]).all()
+
+
+def test_what_the_matcher_refuses():
+    matcher = make_matcher(StereoConfig(uint16_bits=12))
+    bright = np.full((20, 80), 5000, np.uint16)
+    with pytest.raises(StereoError, match="uint16_bits"):
+        matcher.match(bright, bright)
+    with pytest.raises(StereoError, match="differ"):
+        matcher.match(bright, bright[:, :-1])
+    if "avx512" not in INSTRUCTION_SETS:
+        with pytest.raises(StereoError, match="instruction_set"):
+            make_matcher(StereoConfig(instruction_set="avx512"))
+    with pytest.raises(ValueError, match="out of its range"):
+        run(bright, bright, reference.Settings(gamma=86))
+    with pytest.raises(ValueError, match="p1 <= p2_min"):
+        Penalties(p1=30, p2_min=20)
+
+
+def test_one_matcher_serves_threads_and_sizes():
+    """Memory is kept between calls: neither other sizes nor other threads may show in a result."""
+    matcher = make_matcher(StereoConfig(disparities=32))
+    pairs = []
+    for seed, shape in enumerate([(40, 150), (90, 70), (17, 201), (40, 150)]):
+        wide = textured(seed, shape).astype(np.uint8)
+        pairs.append((wide[:, :-6], wide[:, 6:]))
+    alone = [make_matcher(StereoConfig(disparities=32)).match(*pair).left for pair in pairs]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda pair: matcher.match(*pair).left, pairs * 3))
+    for expected, got in zip(alone * 3, together, strict=True):
+        np.testing.assert_array_equal(expected, got)

@@ -1,0 +1,140 @@
+"""How far a disparity may be off, and what that means for a point on the ground.
+
+The tables were measured with `python -m benchmarks.stereo_accuracy KITTI_2015 --calibrate` on every
+second pair of the training set (default settings of the census matcher); the other pairs are the
+test. They include the error of that ground truth itself, so they are rather too large than too
+small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stereo.errors import StereoError
+from stereo.matching_types import Image
+from stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+
+OUTLIER_PX = 3.0
+TEXTURE_WINDOW_PX = 5
+
+_TEXTURE = (0.7, 1.5, 2.8, 5.5, 10.6, 21.6)
+_MARGIN = (5.0, 15.0, 30.0, 50.0, 70.0, 95.0, 129.0, 173.0, 224.0)
+_SD_PX = (
+    (1.35, 1.37, 1.26, 1.21, 1.14, 1.11, 1.05, 1.00, 0.92),
+    (1.33, 1.31, 1.24, 1.15, 1.05, 0.97, 0.87, 0.82, 0.80),
+    (1.35, 1.25, 1.17, 1.10, 1.01, 0.92, 0.84, 0.80, 0.83),
+    (1.21, 1.15, 1.11, 1.03, 0.93, 0.85, 0.75, 0.70, 0.76),
+    (1.10, 1.11, 1.06, 1.01, 0.98, 0.89, 0.80, 0.76, 0.73),
+    (1.10, 1.11, 1.08, 1.09, 0.96, 0.98, 0.92, 0.84, 0.77),
+)
+_OUTLIERS = (
+    (0.21, 0.18, 0.13, 0.08, 0.06, 0.03, 0.02, 0.01, 0.00),
+    (0.22, 0.19, 0.14, 0.10, 0.06, 0.03, 0.02, 0.01, 0.00),
+    (0.23, 0.19, 0.14, 0.08, 0.06, 0.03, 0.02, 0.01, 0.00),
+    (0.20, 0.16, 0.12, 0.08, 0.05, 0.03, 0.01, 0.01, 0.00),
+    (0.19, 0.18, 0.15, 0.09, 0.07, 0.05, 0.02, 0.01, 0.00),
+    (0.25, 0.24, 0.23, 0.15, 0.12, 0.09, 0.05, 0.02, 0.01),
+)
+
+
+def texture(image: Image, bits: int = 8) -> Floats:
+    """Strength of the horizontal grey gradient around each pixel, `(h, w)` grey values of 8 bit.
+
+    Root mean square of the central difference over 5x5 pixels: vertical structure is what tells
+    disparities apart.
+    """
+    grey = image.astype(np.float64) / 2.0 ** (bits - 8)
+    step = np.zeros_like(grey)
+    step[:, 1:-1] = (grey[:, 2:] - grey[:, :-2]) / 2
+    window = (TEXTURE_WINDOW_PX, TEXTURE_WINDOW_PX)
+    return np.sqrt(np.asarray(cv2.blur(step * step, window), dtype=np.float64))
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityErrorModel:
+    """Error of a disparity by texture (see `texture`) and margin (`DisparityPair.left_margin`).
+
+    Attributes:
+        texture_grid: `(m,)` ascending grey values; between them linear in the logarithm.
+        margin_grid: `(n,)` ascending, 0 to 255.
+        sd_px_table: `(m, n)` standard deviation of what is no outlier.
+        outlier_table: `(m, n)` share of errors over 3 px.
+
+    Raises:
+        StereoError: tables that do not fit their grids, or values that cannot be.
+    """
+
+    texture_grid: Floats = field(default_factory=lambda: np.array(_TEXTURE))
+    margin_grid: Floats = field(default_factory=lambda: np.array(_MARGIN))
+    sd_px_table: Floats = field(default_factory=lambda: np.array(_SD_PX))
+    outlier_table: Floats = field(default_factory=lambda: np.array(_OUTLIERS))
+
+    def __post_init__(self) -> None:
+        shape = (len(self.texture_grid), len(self.margin_grid))
+        if self.sd_px_table.shape != shape or self.outlier_table.shape != shape:
+            raise StereoError(f"an error model with grids of {shape} needs tables of that shape")
+        if not (np.diff(self.texture_grid) > 0).all() or not (np.diff(self.margin_grid) > 0).all():
+            raise StereoError("the grids of an error model must ascend")
+        if not (self.sd_px_table > 0).all() or not (self.texture_grid > 0).all():
+            raise StereoError("an error model needs positive standard deviations and textures")
+
+    def sd_px(self, texture: Floats, margin: NDArray[np.uint8] | Floats) -> Floats:
+        """Standard deviation of disparity, broadcast over both arguments."""
+        return self._look_up(self.sd_px_table, texture, margin)
+
+    def outlier_share(self, texture: Floats, margin: NDArray[np.uint8] | Floats) -> Floats:
+        """Probability of an error over 3 px."""
+        return self._look_up(self.outlier_table, texture, margin)
+
+    def _look_up(
+        self, table: Floats, texture: Floats, margin: NDArray[np.uint8] | Floats
+    ) -> Floats:
+        """Bilinear in log texture and margin, constant outside the grids."""
+        logs = np.log(np.maximum(np.asarray(texture, dtype=np.float64), 1e-6))
+        row, down = _place(np.log(self.texture_grid), logs)
+        column, right = _place(self.margin_grid, np.asarray(margin, dtype=np.float64))
+        upper = table[row, column] * (1 - right) + table[row, column + 1] * right
+        lower = table[row + 1, column] * (1 - right) + table[row + 1, column + 1] * right
+        return np.asarray(upper * (1 - down) + lower * down)
+
+
+def _place(grid: Floats, value: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Cell of a grid and the share of the way through it."""
+    index = np.clip(np.searchsorted(grid, value) - 1, 0, len(grid) - 2)
+    share = (value - grid[index]) / (grid[index + 1] - grid[index])
+    return index, np.clip(share, 0.0, 1.0)
+
+
+def range_sd_m(rig: StereoRig, disparity_px: Floats, disparity_sd_px: Floats) -> Floats:
+    """Standard deviation of depth: depth^2 / (focal length * baseline) * sd of disparity."""
+    depth = rig.depth_m(disparity_px)
+    return np.asarray(depth**2 / (rig.focal_px * rig.baseline_m) * disparity_sd_px)
+
+
+def ground_covariance_m2(
+    rig: StereoRig,
+    u_px: Floats,
+    v_px: Floats,
+    disparity_px: Floats,
+    disparity_sd_px: Floats,
+    column_sd_px: Floats | float = 0.5,
+) -> Floats:
+    """Covariance of vehicle x (range) and y (lateral) of a point seen at (u, v), `(..., 2, 2)`.
+
+    A disparity error moves the point along its ray by -point / disparity; a column error moves it
+    across by depth / focal length. Both to first order and independent of each other.
+    """
+    points = rig.camera_points(u_px, v_px, disparity_px)
+    disparity = np.asarray(disparity_px, dtype=np.float64)[..., np.newaxis]
+    along = points / disparity * np.asarray(disparity_sd_px, dtype=np.float64)[..., np.newaxis]
+    across = np.zeros_like(points)
+    across[..., 0] = points[..., 2] / rig.focal_px * np.asarray(column_sd_px)
+    rotation = rig.vehicle_from_camera.rotation()
+    steps = np.stack([along @ rotation.T, across @ rotation.T], axis=-1)[..., :2, :]
+    return np.asarray(steps @ np.swapaxes(steps, -1, -2))
