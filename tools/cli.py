@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -98,4 +99,6 @@ def _complain(message: str) -> int:
 
 def main() -> None:
     """Entry point; a crash leaves its traceback and exit code 1."""
+    # a terminated command ends its worker processes and tidies up, as an interrupted one does
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(run(sys.argv[1:]))
