@@ -8,9 +8,8 @@ from math import atan2, cos, hypot, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from localize.ctrv_kernel import wrap
+from localize.ctrv_kernel import step, wrap
 from localize.output_state import Pose, PoseUpper
-from vehicle.motion import move_along_arc
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +42,7 @@ class GnssStart:
         before, speed, rate = self._last
         dt = stamp_s - before
         if dt > 0.0:
-            x, y, yaw = move_along_arc(self._reckoned, speed * dt, rate * dt).tolist()
+            x, y, yaw = step(self._reckoned, speed, rate, dt)
             self._reckoned = (x, y, yaw)
             self._last = (stamp_s, speed, rate)
 

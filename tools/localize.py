@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from os import cpu_count
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from drivelog.atomic import atomic_folder
 from drivelog.drive import Drive, open_drive
 from drivelog.errors import ConfigError
 from drivelog.samples import PoleScan
-from localize.config import LocalizeConfig
 from localize.io import write_metrics, write_run
-from localize.metrics import spread
+from localize.metrics import spread, timing_summary
 from localize.replay import check_inputs, replay
 from polemap import __version__
 from polemap.io import read_map
@@ -68,14 +67,11 @@ def command(
             if map_file is None
             else "--map and --without-poles exclude each other; drop one of them"
         )
-    opened = open_drive(drive, seed=seed)
-    if lap is not None:
-        opened = opened.lap(lap)
+    recording = _Recording(drive, lap)
+    opened = recording.open(0)
     pole_map = read_map(map_file, frame=opened.frame) if map_file is not None else None
-    scans, perception_s = ([], 0.0) if pole_map is None else _look(opened, pole_map, settings)
-    opened = replace(opened, images=None, scans=())
-    used = _as_used(settings, drive, map_file, lap)
-    job = _Job(opened, pole_map, tuple(scans), settings.localize, used, perception_s)
+    seen = _Seen((), {}, 0.0) if pole_map is None else _look(opened, pole_map, settings)
+    job = _Job(recording, pole_map, seen, settings, map_file)
     with atomic_folder(out) as folder:
         if runs == 1:
             metrics = job.run(folder, seed, show=True)
@@ -84,51 +80,92 @@ def command(
     typer.echo(_table(metrics, out))
 
 
+@dataclass(frozen=True, slots=True)
+class _Recording:
+    """A drive on the disk, or a lap of it."""
+
+    path: Path
+    lap: str | None
+
+    def open(self, seed: int) -> Drive:
+        """The drive; `seed` is for sensors that it lacks and that are derived."""
+        drive = open_drive(self.path, seed=seed)
+        return drive if self.lap is None else drive.lap(self.lap)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """The poles of a drive and the time that it took to find them."""
+
+    scans: tuple[PoleScan, ...]
+    timing_ms: dict[str, dict[str, float]]
+    seconds: float
+
+
 class _Job:
     """All that a run needs, sent to each worker once."""
 
     def __init__(
         self,
-        drive: Drive,
+        recording: _Recording,
         pole_map: PoleMap | None,
-        scans: tuple[PoleScan, ...],
-        config: LocalizeConfig,
-        used: dict[str, Any],
-        perception_s: float,
+        seen: _Seen,
+        settings: Settings,
+        map_file: Path | None,
     ) -> None:
-        self._drive, self._map, self._scans = drive, pole_map, scans
-        self._config, self._used, self._perception_s = config, used, perception_s
+        self._recording, self._map, self._seen = recording, pole_map, seen
+        self._settings, self._map_file = settings, map_file
 
     def run(self, folder: Path, seed: int, *, show: bool = False) -> dict[str, Any]:
         """One run into `folder`; its metrics."""
-        drive = self._drive
+        seen = self._seen
+        # sensors that had to be derived get noise of their own in every run
+        drive = replace(self._recording.open(seed), images=None, scans=())
         total = sum(len(stream) for stream in (drive.odometry, drive.gnss) if stream is not None)
-        with progress((total + len(self._scans)) if show else None, "localizing") as advance:
+        with progress((total + len(seen.scans)) if show else None, "localizing") as advance:
             run = replay(
                 drive,
                 self._map,
-                self._scans,
-                self._config,
+                seen.scans,
+                self._settings.localize,
                 seed=seed,
                 clock=time.perf_counter,
                 progress=advance if show else None,
             )
-        spent = self._perception_s + run.metrics["replay_s"]
-        run.metrics["perception_s"] = self._perception_s
-        run.metrics["real_time_factor"] = drive.duration_s / spent if spent > 0 else None
+        metrics = run.metrics
+        metrics["timing_ms"] = {**seen.timing_ms, **metrics["timing_ms"]}
+        metrics["perception_s"] = seen.seconds
+        spent = seen.seconds + metrics["replay_s"]
+        metrics["real_time_factor"] = drive.duration_s / spent if spent > 0 else None
         folder.mkdir(parents=True, exist_ok=True)
-        write_run(folder, run, {**self._used, "seed": seed})
-        return run.metrics
+        write_run(folder, run, self._as_used(seed))
+        return metrics
+
+    def _as_used(self, seed: int) -> dict[str, Any]:
+        return {
+            "polemap_version": __version__,
+            "drive": str(self._recording.path),
+            "map": None if self._map_file is None else str(self._map_file),
+            "lap": self._recording.lap,
+            "seed": seed,
+            "settings": self._settings.model_dump(mode="json"),
+        }
 
 
-def _look(drive: Drive, pole_map: PoleMap, settings: Settings) -> tuple[Sequence[PoleScan], float]:
-    """The poles of every frame, found once for all runs, and the seconds it took."""
+def _look(drive: Drive, pole_map: PoleMap, settings: Settings) -> _Seen:
+    """The poles of every frame, found once for all runs."""
     check_inputs(drive, pole_map, has_poles=drive.has_frames or bool(drive.scans))
-    begin = time.perf_counter()
     total = len(drive.frame_stamps_s) if drive.has_frames else len(drive.scans)
+    moments = [time.perf_counter()]
     with progress(total, "looking for poles") as advance:
-        scans = scan_drive(drive, settings.polemap, progress=advance)
-    return scans, time.perf_counter() - begin
+
+        def done(steps: int) -> None:
+            moments.append(time.perf_counter())
+            advance(steps)
+
+        scans = scan_drive(drive, settings.polemap, progress=done, stereo=settings.stereo)
+    timing = timing_summary({"perception": np.diff(moments).tolist()})
+    return _Seen(tuple(scans), timing, moments[-1] - moments[0])
 
 
 _job: _Job | None = None
@@ -177,18 +214,6 @@ def _many(job: _Job, folder: Path, seed: int, runs: int, workers: int) -> dict[s
     }
     write_metrics(folder / "metrics.json", metrics)
     return metrics
-
-
-def _as_used(
-    settings: Settings, drive: Path, map_file: Path | None, lap: str | None
-) -> dict[str, Any]:
-    return {
-        "polemap_version": __version__,
-        "drive": str(drive),
-        "map": None if map_file is None else str(map_file),
-        "lap": lap,
-        "settings": settings.model_dump(mode="json"),
-    }
 
 
 def _table(metrics: dict[str, Any], out: Path) -> str:
