@@ -24,6 +24,7 @@ class CameraConfig(_Section):
 
     Image noise is given in electrons: `full_well_e` at the white level sets the shot noise. Light
     that an exposure of `largest_exposure` cannot gather is made up by gain, noise included.
+    Without a frame rate the scenario's is used.
     """
 
     width_px: int = Field(default=768, ge=32, le=4096)
@@ -34,7 +35,7 @@ class CameraConfig(_Section):
     mount_y_m: float = 0.15
     mount_z_m: Positive = 1.3
     mount_pitch_rad: float = 0.0
-    frame_rate_hz: Positive = 11.0
+    frame_rate_hz: Positive | None = None
     bits: Literal[8, 12] = 8
     tone_exponent: Annotated[float, Field(gt=0.3, le=1.0)] = 0.9
     target_level: Annotated[float, Field(gt=0.02, lt=0.9)] = 0.36

@@ -80,7 +80,8 @@ def make_plan(
     """Drives the route and decides when pictures are taken."""
     motion = drive_route(route, scenario.drive, laps, np.random.default_rng([seed, 20]))
     rng = np.random.default_rng([seed, 21])
-    stamps, arrivals = sensors.frame_times(motion, config.camera.frame_rate_hz, config.latency, rng)
+    rate = config.camera.frame_rate_hz or scenario.drive.frame_rate_hz
+    stamps, arrivals = sensors.frame_times(motion, rate, config.latency, rng)
     bumps = sensors.gauss_markov(stamps, 0.0022, 0.3, rng, 2)
     bumps *= np.minimum(motion.value("speed_mps", stamps) / 5.0, 1.0)[:, None]
     wander = sensors.gauss_markov(stamps, config.camera.exposure_wander, 4.0, rng)[:, 0]

@@ -17,6 +17,7 @@ _MAP_LIMIT_PX = 5000
 _BIAS_M = 0.06
 _CELL_M = 0.07
 _TRANSLUCENT = 0.5
+_SHADOW_REACH_M = 14.0
 
 
 def _dot(vectors: Floats32, axis: Floats32) -> Floats32:
@@ -105,19 +106,26 @@ class Lighting:
         if not len(sunny) or self.sun == 0.0:
             return light
         at = points_m[sunny]
-        share = np.ones(len(sunny), dtype=np.float32)
+        at += 0.02 * normals[sunny]
         if self.shadow_map is not None:
-            share = self.shadow_map.lit(at + 0.03 * normals[sunny])
-        rays = np.empty((len(sunny), 6), dtype=np.float32)
-        if self.static is not None or (movers is not None and not movers.empty):
-            rays[:, :3] = at + 0.02 * normals[sunny]
-            rays[:, 3:] = self.to_sun
-        if self.static is not None:
-            share[self.static.blocked(rays)] = 0.0
-        if movers is not None and not movers.empty:
-            share[movers.blocked(rays)] = 0.0
+            share = self.shadow_map.lit(at)
+        elif self.static is not None:
+            share = 1.0 - self._blocked(self.static, at)
+        else:
+            # without shadows the moving things cast none either
+            light[sunny] += np.float32(self.sun) * cosine[sunny]
+            return light
+        if movers is not None:
+            near = np.flatnonzero(movers.may_shade(at, _SHADOW_REACH_M) & (share > 0))
+            share[near] *= 1.0 - self._blocked(movers, at[near])
         light[sunny] += np.float32(self.sun) * cosine[sunny] * share
         return light
+
+    def _blocked(self, caster: Caster, points_m: Floats32) -> NDArray[np.bool_]:
+        rays = np.empty((len(points_m), 6), dtype=np.float32)
+        rays[:, :3] = points_m
+        rays[:, 3:] = self.to_sun
+        return caster.blocked(rays)
 
 
 def sun_direction(elevation_deg: float, azimuth_deg: float) -> Floats32:

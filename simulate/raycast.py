@@ -76,6 +76,8 @@ class Caster:
         self.empty = len(mesh) == 0
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=threads)
         if not self.empty:
+            self._low = mesh.vertices_m.min(axis=0)
+            self._high = mesh.vertices_m.max(axis=0)
             self._scene.add_triangles(mesh.vertices_m, mesh.triangles)
 
     def cast(self, rays: Floats32) -> Hits:
@@ -97,6 +99,14 @@ class Caster:
         return Hits(
             depth, triangle, found["primitive_uvs"].numpy(), found["primitive_normals"].numpy()
         )
+
+    def may_shade(self, points_m: Floats32, reach_m: float) -> NDArray[np.bool_]:
+        """Which points `(n, 3)` lie within `reach_m` sideways of the mesh's bounding box."""
+        if self.empty:
+            return np.zeros(len(points_m), dtype=np.bool_)
+        low, high = self._low - np.float32(reach_m), self._high + np.float32(reach_m)
+        x, y = points_m[:, 0], points_m[:, 1]
+        return np.asarray((x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]))
 
     def blocked(self, rays: Floats32) -> NDArray[np.bool_]:
         """Which rays `(n, 6)` hit anything at all."""

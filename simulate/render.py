@@ -151,9 +151,15 @@ class Renderer:
         return out
 
     def _trace(
-        self, rays: Floats32, hits: Hits, pose: CameraPose, moving: Mesh, movers: Caster
+        self,
+        pixels: Floats32,
+        rays: Floats32,
+        hits: Hits,
+        pose: CameraPose,
+        moving: Mesh,
+        movers: Caster,
     ) -> tuple[Floats32, Floats32, NDArray[np.int32], NDArray[np.bool_]]:
-        """Irradiance, depth, owner and leafiness `(n,)` along the rays."""
+        """Irradiance, depth, owner and leafiness `(n,)` along the rays through the pixels."""
         count = len(rays)
         light = np.empty(count, dtype=np.float32)
         mesh = self.world.mesh
@@ -166,7 +172,8 @@ class Renderer:
         owner = np.where(seen, mesh.owner[hits.triangle], SKY_OWNER)
         leafy = seen & self._leafy[mesh.tile[hits.triangle]]
         if len(moving):
-            self._over(moving, movers, rays, pose, light, depth, owner)
+            candidates = self._may_see(moving, pixels, pose)
+            self._over(moving, movers, rays, candidates, pose, light, depth, owner)
         return light, depth, owner, leafy
 
     def _over(
@@ -174,13 +181,13 @@ class Renderer:
         moving: Mesh,
         movers: Caster,
         rays: Floats32,
+        candidates: NDArray[np.int64],
         pose: CameraPose,
         light: Floats32,
         depth: Floats32,
         owner: NDArray[np.int32],
     ) -> None:
-        """Lays the moving things over the static picture, in place."""
-        candidates = self._may_see(moving, rays, pose)
+        """Lays the moving things over the static picture, in place, where they may be."""
         if not len(candidates):
             return
         hits = movers.cast(rays[candidates])
@@ -193,17 +200,25 @@ class Renderer:
         depth[rows] = part.depth
         owner[rows] = moving.owner[part.triangle]
 
-    def _may_see(self, moving: Mesh, rays: Floats32, pose: CameraPose) -> NDArray[np.int64]:
-        """Rays inside the bounding box of the moving things' projection."""
+    def _may_see(self, moving: Mesh, pixels: Floats32, pose: CameraPose) -> NDArray[np.int64]:
+        """Rows of the pixels inside the bounding box of a moving thing's projection."""
         camera = (moving.vertices_m - pose.position_m) @ pose.rotation
-        ahead = camera[:, 2] > 0.3
-        if not ahead.any():
-            return np.zeros(0, dtype=np.int64)
-        slopes = camera[ahead, :2] / camera[ahead, 2:]
-        low, high = slopes.min(axis=0) - 0.005, slopes.max(axis=0) + 0.005
-        inward = rays[:, 3:] @ pose.rotation.astype(np.float32)
-        inside = (inward[:, :2] >= low * inward[:, 2:]) & (inward[:, :2] <= high * inward[:, 2:])
-        return np.flatnonzero(inside.all(axis=1))
+        by_vertex = np.empty(len(camera), dtype=np.int32)
+        by_vertex[moving.triangles.ravel()] = np.repeat(moving.owner, 3)
+        inside = np.zeros(len(pixels), dtype=np.bool_)
+        centre = np.array([self.rig.cx_px, self.rig.cy_px])
+        for thing in np.unique(moving.owner):
+            corners = camera[by_vertex == thing]
+            if corners[:, 2].max() < 0.3:
+                continue
+            ahead = corners[corners[:, 2] > 0.3]
+            place = centre + self.rig.focal_px * ahead[:, :2] / ahead[:, 2:]
+            low, high = place.min(axis=0) - 2, place.max(axis=0) + 2
+            inside |= (
+                (pixels[:, 0] >= low[0]) & (pixels[:, 0] <= high[0])
+                & (pixels[:, 1] >= low[1]) & (pixels[:, 1] <= high[1])
+            )  # fmt: skip
+        return np.flatnonzero(inside)
 
     def _shade(
         self, mesh: Mesh, hits: Hits, direction: Floats32, pose: CameraPose, movers: Caster
@@ -258,14 +273,16 @@ class Renderer:
         shape = (self.rig.height_px, self.rig.width_px)
         rays = self._rays(self._pixels, pose)
         hits = self._cast_picture(rays)
-        light, depth, owner, leafy = self._trace(rays, hits, pose, moving, movers)
+        light, depth, owner, leafy = self._trace(self._pixels, rays, hits, pose, moving, movers)
         if self.options.edge_rays:
             marks = _edges(depth.reshape(shape), owner.reshape(shape), leafy.reshape(shape))
             rows = np.flatnonzero(marks.ravel())
             total = light[rows].copy()
             for k in range(self.options.edge_rays):
-                more = self._rays(self._pixels[rows] + self._shifts[k], pose)
-                total += self._trace(more, self._static.cast(more), pose, moving, movers)[0]
+                pixels = self._pixels[rows] + self._shifts[k]
+                more = self._rays(pixels, pose)
+                hits = self._static.cast(more)
+                total += self._trace(pixels, more, hits, pose, moving, movers)[0]
             light[rows] = total / (1 + self.options.edge_rays)
         return View(
             light.reshape(shape), depth.reshape(shape), owner.reshape(shape).astype(np.int32)

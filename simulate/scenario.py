@@ -129,6 +129,7 @@ class DriveSpec(_Part):
     lateral_acceleration_mps2: Positive = 2.2
     acceleration_mps2: Positive = 1.5
     standstill_s: NotNegative = 2.5
+    frame_rate_hz: Positive = 11.0
     stops_m: list[float] = Field(default_factory=list)
     wander_sd_m: tuple[NotNegative, NotNegative] = (0.10, 0.27)
     evasions: NotNegative = 0.0
