@@ -41,6 +41,12 @@ class EstimatorConfig(BaseModel):
     acceleration_disturbance_time_s: float = Field(20.0, gt=0.01, le=1e5)
     stiffness_walk: float = Field(0.01, gt=0.0, le=1.0, description="stiffness scale in 1 s")
     stiffness_sd: float = Field(0.3, gt=0.0, le=2.0, description="stiffness scale at the start")
+    stiffness_model_scale: float = Field(
+        0.25,
+        gt=0.0,
+        le=1.0,
+        description="walks of the stiffness filter over the others': its scale carries the rest",
+    )
     outage_s: float = Field(0.5, gt=0.0, le=100.0, description="silence that counts as a loss")
     bridge_time_s: float = Field(
         0.3, ge=0.0, le=10.0, description="time constant by which the output joins after a loss"

@@ -129,13 +129,15 @@ def play(
     log: SignalLog,
     *,
     steering_offset_rad: float = 0.0,
+    every: int = 1,
     observe: Callable[[int, Estimator], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Played:
     """Drive an estimator through a log as time would: late values come when they arrive.
 
     Inputs of a row hold until the next. The speed is the wheels', or the GPS's where there are
-    none. `observe` is called after each row, `progress` with the number of rows now and then.
+    none. Of the output every `every`-th row is kept. `observe` is called at each row that is kept,
+    `progress` with a number of further rows now and then.
     """
     n = len(log)
     stamps = log.stamp_s.tolist()
@@ -162,7 +164,8 @@ def play(
         if log.has(name)
     ]
     captures, waiting = _late_events(log), deque[tuple[float, str, tuple[float, float], float]]()
-    mean, sd = np.zeros((n, len(estimator.fields))), np.zeros((n, len(estimator.fields)))
+    kept, width = len(range(0, n, every)), len(estimator.fields)
+    mean, sd = np.zeros((kept, width)), np.zeros((kept, width))
     step, measure = estimator.step, estimator.measure
     for row, stamp in enumerate(stamps):
         step(stamp, inputs[row - 1 if row else 0])
@@ -180,13 +183,14 @@ def play(
             else:
                 waiting.append((arrival, kind, pair, stamp))
                 waiting = deque(sorted(waiting))
-        now = estimator.estimate()
-        mean[row], sd[row] = now.mean, now.sd
-        if observe is not None:
-            observe(row, estimator)
+        if row % every == 0:
+            now = estimator.estimate()
+            mean[row // every], sd[row // every] = now.mean, now.sd
+            if observe is not None:
+                observe(row, estimator)
         if progress is not None and row % 1000 == 999:
             progress(1000)
-    return Played(log.stamp_s, estimator.fields, mean, sd)
+    return Played(log.stamp_s[::every], estimator.fields, mean, sd)
 
 
 def _late_events(log: SignalLog) -> dict[int, list[tuple[float, str, tuple[float, float]]]]:

@@ -49,7 +49,8 @@ class StiffnessKalman:
     def __init__(self, car: Car, config: EstimatorConfig) -> None:
         self._config, self._car = config, car
         self._soft, self._hard = car.scaled(stiffness=0.5), car.scaled(stiffness=1.5)
-        self._density = np.diag([*vision_density(config), config.stiffness_walk**2])
+        walks = np.array(vision_density(config)) * config.stiffness_model_scale**2
+        self._density = np.diag([*walks, config.stiffness_walk**2])
         start = np.zeros((5, 5))
         start[:4, :4] = initial_covariance(config)
         start[4, 4] = config.stiffness_sd**2

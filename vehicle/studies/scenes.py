@@ -137,7 +137,7 @@ def _states(
     truth = np.zeros((n, 4))
     for k in range(1, n):
         truth[k] = g @ truth[k - 1] + pushed[k - 1]
-    return truth, np.asarray(steering), stamps
+    return truth, np.asarray(steering), np.asarray(stamps, dtype=np.float64)
 
 
 def _captures(scene: Scene, step_s: float, rows: int) -> tuple[NDArray[np.int64], Floats]:

@@ -1,0 +1,255 @@
+"""`polemap estimate`: side-slip and velocity estimators on a signal log."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+import yaml
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from drivelog.atomic import atomic_file
+from drivelog.errors import ConfigError, InputError
+from tools.progress import progress
+from tools.signal_log import gps_from_truth, read_signal_log
+from vehicle.config import EstimatorConfig
+from vehicle.estimators.base import GPS
+from vehicle.estimators.registry import ESTIMATORS, make_estimator
+from vehicle.identify import identify
+from vehicle.io import car_names, dump_car, load_car
+from vehicle.parameters import Car
+from vehicle.signals import Played, SignalLog, play
+
+Floats = NDArray[np.float64]
+SETTLED_S = 2.0
+"""Scoring starts this long after the first row: no filter knows its start."""
+
+
+def command(
+    log: Annotated[Path | None, typer.Argument(help="CSV, Parquet or MCAP signal log.")] = None,
+    estimator: Annotated[str | None, typer.Option("--estimator", help="See --list.")] = None,
+    vehicle: Annotated[
+        str | None, typer.Option("--vehicle", help="Name of a car, see --list, or a YAML file.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Estimates (.csv); with --identify the car (.yaml)."),
+    ] = None,
+    mapping: Annotated[
+        Path | None, typer.Option("--mapping", help="YAML file: known name to column of the log.")
+    ] = None,
+    span: Annotated[
+        str | None, typer.Option("--span", help="Use only stamps A:B of the log, seconds.")
+    ] = None,
+    identify_span: Annotated[
+        str | None, typer.Option("--identify", help="Fit the car on stamps A:B instead.")
+    ] = None,
+    derive_gps: Annotated[
+        bool,
+        typer.Option(
+            "--derive-gps", help="Make 5 Hz GPS, 100 ms late, from the reference; seeded noise."
+        ),
+    ] = False,
+    config_file: Annotated[
+        Path | None, typer.Option("--config", help="YAML file of estimator settings.")
+    ] = None,
+    set_values: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting, such as gyro_sd_radps=0.01.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Of the derived GPS noise.")] = 0,
+    listed: Annotated[bool, typer.Option("--list", help="List estimators and cars.")] = False,
+) -> None:
+    """Run a side-slip or velocity estimator on a signal log.
+
+    Late values come when their arrival column says. Columns that are not known are ignored with
+    a note. With a side-slip reference in the log one JSON line of errors goes to stdout; they
+    count from two seconds after the first row.
+
+    Examples:
+        polemap estimate --list
+        polemap estimate log.csv --estimator clones --vehicle coms --out estimate.csv
+        polemap estimate log.parquet --mapping names.yaml --estimator bicycle --vehicle passat \\
+            --out estimate.csv
+        polemap estimate log.csv --identify 150:250 --vehicle 250lm_published --out 250lm.yaml
+    """
+    if listed:
+        _list()
+        return
+    if log is None or vehicle is None or out is None:
+        raise ConfigError("estimate needs a LOG, --vehicle and --out; --list names the cars")
+    signals, ignored = read_signal_log(log, mapping)
+    if ignored:
+        sys.stderr.write(f"note: ignored columns {', '.join(ignored)}\n")
+    car = load_car(vehicle)
+    if identify_span is not None:
+        _identify(signals, car, identify_span, log, vehicle, out)
+        return
+    if estimator is None or estimator not in ESTIMATORS:
+        raise ConfigError(f"--estimator {estimator}: choose one of {', '.join(ESTIMATORS)}")
+    if span is not None:
+        signals = _cut(signals, span, "--span")
+    config = load_estimator_config(config_file, set_values, signals)
+    if derive_gps:
+        signals = gps_from_truth(
+            signals,
+            np.random.default_rng(seed),
+            course_sd_rad=config.course_sd_rad,
+            speed_sd_mps=config.speed_sd_mps,
+        )
+        sys.stderr.write("note: GPS is derived from the reference with seeded noise, not real\n")
+    played = run_estimator(estimator, signals, car, config, log)
+    write_estimates(played, out)
+    scores = score(estimator, played, signals, car)
+    if scores:
+        sys.stdout.write(json.dumps(scores) + "\n")
+
+
+def run_estimator(
+    name: str, signals: SignalLog, car: Car, config: EstimatorConfig, place: Path
+) -> Played:
+    """Play a log to an estimator, with a progress bar.
+
+    Raises:
+        InputError: the log lacks a sensor that the estimator lives on.
+    """
+    entry, kinds = ESTIMATORS[name], signals.kinds()
+    missing = [kind for kind in entry.needs if kind not in kinds]
+    if missing or (entry.late and not kinds.intersection(entry.late)):
+        lacking = missing[0] if missing else " or ".join(entry.late)
+        raise InputError(f"{place}: {name} needs {lacking} and the log has no such signal")
+    estimator = make_estimator(name, car, config)
+    with progress(len(signals), f"{name}") as advance:
+        played = play(
+            estimator, signals, steering_offset_rad=car.steering_offset_rad, progress=advance
+        )
+    for reason, count in estimator.dropped.items():
+        sys.stderr.write(f"note: {count} times: {reason}\n")
+    return played
+
+
+def load_estimator_config(
+    config_file: Path | None, set_values: list[str] | None, signals: SignalLog
+) -> EstimatorConfig:
+    """Settings: the defaults, the log's own step, then the file, then `--set`.
+
+    Raises:
+        ConfigError: an unknown key or a value out of range.
+    """
+    tree: dict[str, object] = {"step_s": round(float(np.median(np.diff(signals.stamp_s))), 6)}
+    if config_file is not None:
+        try:
+            loaded = yaml.safe_load(config_file.read_text("utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise ConfigError(f"{config_file}: cannot be read ({error})") from error
+        if not isinstance(loaded, dict):
+            raise ConfigError(f"{config_file}: holds no `setting: value` lines")
+        tree.update(loaded)
+    for item in set_values or []:
+        key, equals, value = item.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {item}: expected key=value, such as gyro_sd_radps=0.01")
+        tree[key] = yaml.safe_load(value)
+    try:
+        return EstimatorConfig.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"setting {name}: {first['msg']}") from error
+
+
+def at_reference(name: str, played: Played, signals: SignalLog, car: Car) -> Floats:
+    """Side-slip `(n,)` where the reference measures it.
+
+    A model's side-slip is that of the centre of gravity; one that hears GPS is the antenna's.
+    """
+    slip = played.column("sideslip_rad")
+    if GPS in ESTIMATORS[name].late or "yaw_rate_radps" not in played.fields:
+        return slip
+    speed = np.maximum(signals.held("vx_mps"), 1.0)
+    return np.asarray(slip + car.sideslip_point_m * played.column("yaw_rate_radps") / speed)
+
+
+def score(name: str, played: Played, signals: SignalLog, car: Car) -> dict[str, object]:
+    """Errors against the reference of the log; empty without one."""
+    result: dict[str, object] = {}
+    late = played.stamp_s >= played.stamp_s[0] + SETTLED_S
+    if signals.has("sideslip_rad"):
+        error = at_reference(name, played, signals, car) - signals.columns["sideslip_rad"]
+        error = np.degrees(error[late & np.isfinite(error)])
+        if len(error):
+            result = {
+                "estimator": name,
+                "sideslip_rmse_deg": round(float(np.sqrt(np.mean(error**2))), 5),
+                "sideslip_p95_deg": round(float(np.percentile(np.abs(error), 95)), 5),
+            }
+    if signals.has("vy_mps") and "vy_mps" in played.fields:
+        error = (played.column("vy_mps") - signals.columns["vy_mps"])[late]
+        result.setdefault("estimator", name)
+        result["vy_rmse_mps"] = round(float(np.sqrt(np.nanmean(error**2))), 5)
+    return result
+
+
+def write_estimates(played: Played, out: Path) -> None:
+    """The estimates as CSV, every field followed by its standard deviation."""
+    columns: dict[str, Floats] = {"stamp_s": played.stamp_s}
+    for name in played.fields:
+        stem, _, unit = name.rpartition("_")
+        columns[name] = played.column(name)
+        deviation = f"{name}_sd" if unit == "scale" else f"{stem}_sd_{unit}"
+        columns[deviation] = played.sd_of(name)
+    with atomic_file(out) as part:
+        pd.DataFrame(columns).to_csv(part, index=False, float_format="%.9g")
+
+
+def _identify(signals: SignalLog, car: Car, span: str, log: Path, vehicle: str, out: Path) -> None:
+    if out.suffix not in (".yaml", ".yml"):
+        raise ConfigError(f"--out {out}: --identify writes a car, name it NAME.yaml")
+    source = (
+        f"polemap estimate {log.name} --identify {span} --vehicle {vehicle}: stiffness, yaw "
+        f"inertia, steering offset and side-slip point fitted; the rest from {vehicle} ({car.source})"
+    )
+    fit = identify(_cut(signals, span, "--identify"), car, name=out.stem, source=source)
+    with atomic_file(out) as part:
+        part.write_text(dump_car(fit.car), "utf-8")
+    line = {
+        "car": fit.car.name,
+        "sideslip_rmse_deg": round(float(np.degrees(fit.sideslip_rmse_rad)), 5),
+        "yaw_rate_rmse_radps": round(fit.yaw_rate_rmse_radps, 6),
+        "rows": fit.rows,
+    }
+    sys.stdout.write(json.dumps(line) + "\n")
+
+
+def _cut(signals: SignalLog, span: str, option: str) -> SignalLog:
+    first, colon, last = span.partition(":")
+    try:
+        start, end = float(first or "-inf"), float(last or "inf")
+    except ValueError as error:
+        raise ConfigError(
+            f"{option} {span}: give two stamps in seconds, such as 150:250"
+        ) from error
+    if not colon or not start < end:
+        raise ConfigError(f"{option} {span}: give two stamps in seconds, such as 150:250")
+    inside = (signals.stamp_s >= start) & (signals.stamp_s < end)
+    if inside.sum() < 2:
+        raise ConfigError(
+            f"{option} {span}: the log runs from {signals.stamp_s[0]} to {signals.stamp_s[-1]} s"
+        )
+    return signals.between(start, end)
+
+
+def _list() -> None:
+    lines = ["estimators:"]
+    for name, entry in ESTIMATORS.items():
+        lines.append(f"  {name:<24} {entry.summary}")
+    lines.append("cars:")
+    for name in car_names():
+        car = load_car(name)
+        lines.append(f"  {name:<24} {car.mass_kg:.0f} kg, wheelbase {car.wheelbase_m:.2f} m")
+    sys.stdout.write("\n".join(lines) + "\n")
