@@ -46,10 +46,9 @@ def check_pair(left: Image, right: Image, config: StereoConfig, rig: StereoRig |
 def _consistent(disparity: Disparity, other: Disparity, sign: int, limit: float) -> Disparity:
     """`disparity` where the partner in `other` agrees to within `limit`, NaN elsewhere."""
     width = disparity.shape[1]
-    column = np.arange(width, dtype=np.float32)
     known = np.isfinite(disparity)
-    shifted = column + np.float32(sign) * np.where(known, disparity, np.float32(0))
-    partner = np.floor(shifted + np.float32(0.5)).astype(np.int64)
+    step = np.floor(np.where(known, disparity, np.float32(0)) + np.float32(0.5)).astype(np.int64)
+    partner = np.arange(width) + sign * step
     known &= (partner >= 0) & (partner < width)
     seen = np.take_along_axis(other, np.clip(partner, 0, width - 1), axis=1)
     with np.errstate(invalid="ignore"):

@@ -244,8 +244,7 @@ void check_rows(const float* own, const float* other, const u8* unique, float* o
       const float d = own[row + x];
       bool keep = unique[row + x] != 0;
       if (keep && tolerance >= 0) {
-        const int partner = static_cast<int>(
-            std::floor(static_cast<float>(x) + static_cast<float>(sign) * d + 0.5f));
+        const int partner = x + sign * static_cast<int>(d + 0.5f);  // d is not negative
         keep = partner >= 0 && partner < width &&
                std::fabs(other[row + partner] - d) <= tolerance;
       }

@@ -152,7 +152,7 @@ def check(own, other, unique, sign, tolerance):
             if not unique[y, x]:
                 continue
             if tolerance >= 0:
-                partner = int(np.floor(np.float32(x) + np.float32(sign) * d + np.float32(0.5)))
+                partner = x + sign * int(np.floor(d + np.float32(0.5)))
                 if not 0 <= partner < width:
                     continue
                 if not abs(other[y, partner] - d) <= np.float32(tolerance):
