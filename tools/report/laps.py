@@ -186,12 +186,13 @@ def _cut(
 ) -> list[Stretch]:
     """Cut a road where passes join or leave, so that every piece has the same passes throughout.
 
-    Ends closer than `BRIDGED_M / 2`, or within a tenth of the road, to one another are one place.
+    Ends closer to one another than `BRIDGED_M / 2` (on short roads a quarter of the road, on long
+    ones a tenth) are one place.
     """
     if len(passes) < 2:
         return []
     length = passes[[p[0] for p in passes].index(first)][3]
-    tolerance = max(BRIDGED_M / 2 / STEP_M, (1.0 - COMPLETE_SHARE) * length)
+    tolerance = max(min(BRIDGED_M / 2 / STEP_M, length / 4), (1.0 - COMPLETE_SHARE) * length)
     ends = sorted({0, length} | {p[2] for p in passes} | {p[3] for p in passes})
     cuts = [ends[0]]
     for end in ends[1:]:

@@ -10,6 +10,7 @@ import pytest
 
 from drivelog.drive import open_drive
 from tools.report.laps import Span, find_stretches, road_length_m
+from tools.report.meanpath import REACH_M
 from tools.report.trajectory import Trajectory
 
 Maker = Callable[..., Any]
@@ -107,4 +108,4 @@ def test_streets_of_victoria_park(recording: Any) -> None:
         for lap in one.passes:
             part = track.between(lap.start_s, lap.end_s).poses[:, :2]
             away = np.min(np.hypot(*(part[:, None] - one.path.points_m[::4]).T), axis=0)
-            assert np.median(away) < 8.0
+            assert np.median(away) < REACH_M
