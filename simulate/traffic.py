@@ -14,6 +14,7 @@ from simulate.vehicles import car, cyclist
 from simulate.world import World
 
 MOVER_ID = 100_000
+_LANE_M, _GAP_M = 1.7, 9.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +61,12 @@ def _lanes(world: World) -> list[float]:
 
 
 def make_traffic(world: World, motion: Motion, rng: np.random.Generator) -> list[Mover]:
-    """Movers that the car meets: each is planned by where and when they meet."""
-    spec, section = world.scenario.traffic, world.scenario.section
-    own = world.scenario.drive.lane_offset_m
+    """Movers that the car meets: each is planned by where and when they meet.
+
+    Whatever would drive through another mover, or through the car, is left out.
+    """
+    spec = world.scenario.traffic
     way_km = (motion.station_m[-1] - motion.station_m[0]) / 1000
-    movers: list[Mover] = []
-    lanes = _lanes(world)
-    walk = kerb_m(section) + 0.3 + section.verge_width_m + 0.5 * section.sidewalk_width_m
     plans = (
         ("oncoming", spec.oncoming_per_km),
         ("ahead", spec.ahead_per_km),
@@ -74,50 +74,84 @@ def make_traffic(world: World, motion: Motion, rng: np.random.Generator) -> list
         ("cyclist", spec.cyclists_per_km),
         ("walker", spec.pedestrians_per_km),
     )
+    movers: list[Mover] = []
     for kind, per_km in plans:
         for _ in range(int(rng.poisson(per_km * way_km))):
             meet_s = float(rng.uniform(2.0, motion.stamp_s[-1]))
-            meet_m = float(motion.value("station_m", np.array([meet_s]))[0])
-            ident = MOVER_ID + len(movers)
-            side = 1.0 if rng.uniform() < 0.5 else -1.0
-            if kind == "oncoming":
-                speed = -float(rng.uniform(6, 11))
-                lateral = float(rng.choice([-x for x in lanes]))
-                meshes: tuple[Mesh, ...] = (car(rng).owned_by(ident),)
-                before, after, stride = 12.0, 4.0, 0.0
-            elif kind == "ahead":
-                mean = float(np.mean(motion.speed_mps))
-                speed, lateral = mean * float(rng.uniform(0.95, 1.25)) + 1.0, own
-                meshes, before, after, stride = (car(rng).owned_by(ident),), 0.0, 9.0, 0.0
-                meet_m += float(rng.uniform(14, 30))
-            elif kind == "beside":
-                mean = float(np.mean(motion.speed_mps))
-                others = [x for x in lanes if abs(x - own) > 1.5] or [own * 3]
-                speed, lateral = mean * float(rng.uniform(0.6, 1.4)), float(rng.choice(others))
-                meshes, before, after, stride = (car(rng).owned_by(ident),), 9.0, 9.0, 0.0
-                meet_m += float(rng.uniform(-5, 25))
-            elif kind == "cyclist":
-                speed = side * -float(rng.uniform(3.5, 6))
-                lateral = side * (section.road_half_width_m - 0.7)
-                if speed > 0 and lateral * own > 0:
-                    speed = -speed
-                meshes, before, after, stride = (cyclist(rng).owned_by(ident),), 14.0, 5.0, 0.0
-            else:
-                speed = (1.0 if rng.uniform() < 0.5 else -1.0) * float(rng.uniform(0.9, 1.6))
-                lateral = side * (walk + float(rng.normal(0, 0.3)))
-                form = rng.bit_generator.state
-                frames = []
-                for stretch in (0.55, 0.05, 0.45):
-                    rng.bit_generator.state = form
-                    frames.append(person(rng, stretch).owned_by(ident))
-                meshes, before, after, stride = tuple(frames), 30.0, 6.0, 0.25
-            start = meet_s - before
-            movers.append(
-                Mover(
-                    meshes, start, meet_s + after, meet_m - speed * before, speed, lateral, stride
-                )
-            )
+            mover = _plan(kind, meet_s, world, motion, MOVER_ID + len(movers), rng)
+            clear = not any(_collide(mover, other) for other in movers)
+            if kind == "walker" or (clear and not _hits_car(mover, motion)):
+                movers.append(mover)
     return movers
+
+
+def _plan(
+    kind: str, meet_s: float, world: World, motion: Motion, ident: int, rng: np.random.Generator
+) -> Mover:
+    section, own, lanes = world.scenario.section, world.scenario.drive.lane_offset_m, _lanes(world)
+    meet_m = float(motion.value("station_m", np.array([meet_s]))[0])
+    pace = float(motion.value("speed_mps", np.array([meet_s]))[0])
+    side = 1.0 if rng.uniform() < 0.5 else -1.0
+    before, after, stride = 9.0, 9.0, 0.0
+    meshes: tuple[Mesh, ...]
+    if kind == "cyclist":
+        meshes, before, after = (cyclist(rng).owned_by(ident),), 14.0, 5.0
+        lateral = side * (section.road_half_width_m - 0.7)
+        # on the right-hand side with the traffic, on the left against the car
+        speed = float(rng.uniform(3.5, 6)) * (1.0 if lateral * own > 0 else -1.0)
+    elif kind == "walker":
+        meshes, before, after, stride = _steps(rng, ident), 30.0, 6.0, 0.25
+        middle = kerb_m(section) + 0.3 + section.verge_width_m + 0.5 * section.sidewalk_width_m
+        lateral = side * (middle + float(rng.normal(0, 0.3)))
+        speed = (1.0 if rng.uniform() < 0.5 else -1.0) * float(rng.uniform(0.9, 1.6))
+    else:
+        meshes = (car(rng).owned_by(ident),)
+        if kind == "oncoming":
+            before, after = 12.0, 4.0
+            speed, lateral = -float(rng.uniform(6, 11)), -float(rng.choice(lanes))
+        elif kind == "ahead":
+            before = 0.0
+            speed, lateral = max(pace, 3.0) * float(rng.uniform(1.0, 1.3)) + 0.5, own
+            meet_m += float(rng.uniform(14, 30))
+        else:
+            others = [x for x in lanes if abs(x - own) > 1.5] or [own * 3]
+            mean = float(np.mean(motion.speed_mps))
+            speed, lateral = mean * float(rng.uniform(0.6, 1.4)), float(rng.choice(others))
+            meet_m += float(rng.uniform(-5, 25))
+    start = meet_m - speed * before
+    return Mover(meshes, meet_s - before, meet_s + after, start, speed, lateral, stride)
+
+
+def _steps(rng: np.random.Generator, ident: int) -> tuple[Mesh, ...]:
+    """One person in three phases of a step."""
+    form = rng.bit_generator.state
+    phases = []
+    for stretch in (0.55, 0.05, 0.45):
+        rng.bit_generator.state = form
+        phases.append(person(rng, stretch).owned_by(ident))
+    return tuple(phases)
+
+
+def _collide(one: Mover, other: Mover) -> bool:
+    """Whether two movers of one lane come within a car's length and a bit while both are there."""
+    low, high = max(one.from_s, other.from_s), min(one.until_s, other.until_s)
+    if low >= high or abs(one.lateral_m - other.lateral_m) > _LANE_M:
+        return False
+    gaps = [
+        one.station_m + one.speed_mps * (t - one.from_s)
+        - other.station_m - other.speed_mps * (t - other.from_s)
+        for t in (low, high)
+    ]  # fmt: skip
+    return gaps[0] * gaps[1] < 0 or min(abs(gaps[0]), abs(gaps[1])) < _GAP_M
+
+
+def _hits_car(mover: Mover, motion: Motion) -> bool:
+    """Whether the mover gets into the way of the car itself."""
+    times = np.arange(max(mover.from_s, 0.0), min(mover.until_s, float(motion.stamp_s[-1])), 0.2)
+    along = mover.station_m + mover.speed_mps * (times - mover.from_s)
+    beside = np.abs(motion.value("lateral_m", times) - mover.lateral_m)
+    near = np.abs(along - motion.value("station_m", times)) < _GAP_M
+    return bool(np.any(near & (beside < _LANE_M)))
 
 
 def moving_mesh(movers: list[Mover], world: World, stamp_s: float) -> Mesh:

@@ -10,6 +10,8 @@ from simulate.config import GnssConfig, LatencyConfig, OdometryConfig, Reference
 from simulate.driver import Motion, drive_route
 from simulate.route import make_route
 from simulate.scenario import Scenario
+from simulate.traffic import make_traffic
+from simulate.world import make_world
 
 ORIGIN = np.array([400_000.0, 5_800_000.0])
 
@@ -101,3 +103,27 @@ def test_pictures_arrive_late_in_order_and_some_never(motion: Motion) -> None:
     assert np.all(np.diff(late) >= 0)
     share = len(stamps) / (motion.stamp_s[-1] * 20)
     assert share == pytest.approx(0.8, abs=0.06)
+
+
+def test_nothing_that_moves_drives_through_another(street: Scenario, motion: Motion) -> None:
+    busy = street.traffic.model_copy(
+        update={"oncoming_per_km": 150, "beside_per_km": 60, "ahead_per_km": 60}
+    )
+    world = make_world(street.model_copy(update={"traffic": busy}), 2)
+    movers = make_traffic(world, motion, np.random.default_rng(0))
+    cars = [m for m in movers if m.stride_s == 0]
+    assert len(cars) > 5
+    for stamp in np.arange(0, motion.stamp_s[-1], 0.5):
+        here = [
+            (m.station_m + m.speed_mps * (stamp - m.from_s), m.lateral_m)
+            for m in cars
+            if m.from_s <= stamp < m.until_s
+        ]
+        own = (
+            float(motion.value("station_m", np.array([stamp]))[0]),
+            float(motion.value("lateral_m", np.array([stamp]))[0]),
+        )
+        places = [*here, own]
+        for i, (s1, l1) in enumerate(places):
+            for s2, l2 in places[i + 1 :]:
+                assert abs(l1 - l2) > 1.2 or abs(s1 - s2) > 5.0
