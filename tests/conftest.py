@@ -6,6 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# how long an example takes depends on the machine and its load; that is for benchmarks
+settings.register_profile("polemap", deadline=None)
+settings.load_profile("polemap")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
