@@ -16,18 +16,16 @@ from numpy.typing import NDArray
 
 from localize.correlation import missing, news
 from localize.ctrv_kernel import (
-    INDEX,
     SIZE,
     Mean,
     Noise,
-    Upper,
     pack,
     predict,
     unpack,
-    update,
     wrap,
 )
 from localize.gnss_start import GnssStart
+from localize.odometry_update import take_odometry
 from localize.output_config import OutputConfig
 from localize.output_state import (
     Event,
@@ -54,10 +52,6 @@ Floats = NDArray[np.float64]
 # order of events of one stamp
 _ODOMETRY, _GNSS, _RESTART, _POSE = 0, 1, 2, 3
 _POSE_ROWS = np.eye(3, SIZE)
-# what a standing car does
-_STILL_SPEED_VARIANCE, _STILL_RATE_VARIANCE = 0.005**2, 0.0005**2
-_SPEED, _RATE, _SCALE, _OFFSET = 3, 4, 5, 6
-_MOVING_RATE = (_RATE, 1.0, _OFFSET, 1.0)
 _NEVER, _FOREVER = float("-inf"), float("inf")
 
 
@@ -178,7 +172,9 @@ class OutputFilter:
         if dt > 0.0:
             mean, upper = predict(mean, upper, dt, self._noise)
         if isinstance(event, OdometryEvent):
-            return self._take_odometry(state, stamp_s, mean, upper, event)
+            return take_odometry(
+                state, stamp_s, mean, upper, event, self._config, self._odometry_limit
+            )
         state = state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
         if isinstance(event, PoseEvent):
             return self._take_pose(state, event)
@@ -186,54 +182,6 @@ class OutputFilter:
             return self._take_gnss(state, event)
         counts = state.counts._replace(gnss_restarts=state.counts.gnss_restarts + 1)
         return moved(state, event.pose, event.upper)._replace(counts=counts, last_pose_s=_NEVER)
-
-    def _take_odometry(
-        self, state: FilterState, stamp_s: float, mean: Mean, upper: Upper, event: OdometryEvent
-    ) -> FilterState:
-        config = self._config
-        speed, rate = event
-        counts, rejected = state.counts, 0
-        standing = abs(speed) <= config.standstill_mps
-        if standing:
-            speed = 0.0
-            row_v, row_w = (_SPEED, 1.0, _SCALE, 0.0), (_RATE, 1.0, _OFFSET, 0.0)
-            rv, rw = _STILL_SPEED_VARIANCE, _STILL_RATE_VARIANCE
-            expected_v, expected_w, seen_w = mean[3], mean[4], 0.0
-        else:
-            row_v, row_w = (_SPEED, 1.0 + mean[5], _SCALE, mean[3]), _MOVING_RATE
-            rv = (config.speed_sd_mps + config.speed_sd_share * abs(speed)) ** 2
-            rw = config.yaw_rate_sd_radps**2
-            expected_v, expected_w, seen_w = mean[3] * (1.0 + mean[5]), mean[4] + mean[6], rate
-        dv, dw = speed - expected_v, seen_w - expected_w
-        if config.gate and _pair_nis(upper, row_v, row_w, rv, rw, dv, dw) > self._odometry_limit:
-            rejected = state.odometry_rejected + 1
-            counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)
-            if rejected > config.odometry_rejections_max:
-                # it insists: widen speed and yaw rate until it fits, then believe it
-                rejected = 0
-                upper = _widened(upper, dv * dv, dw * dw)
-        if not rejected:
-            mean, upper = update(mean, upper, row_v, dv, rv)
-            predicted = mean[4] if standing else mean[4] + mean[6]
-            mean, upper = update(mean, upper, row_w, seen_w - predicted, rw)
-            if standing:
-                # what is measured while nothing turns is the offset
-                variance = config.yaw_rate_sd_radps**2
-                mean, upper = update(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], variance)
-        # the constructor, not _replace: this is the hot path
-        return FilterState(
-            stamp_s,
-            mean,
-            upper,
-            counts,
-            state.rival,
-            state.last_pose_s,
-            state.last_gnss_s,
-            rejected,
-            state.gnss_rejected_since_s,
-            state.decision,
-            state.nis,
-        )
 
     def _take_pose(self, state: FilterState, event: PoseEvent) -> FilterState:
         config = self._config
@@ -251,8 +199,8 @@ class OutputFilter:
         if shared:
             least = 1.0 - exp((state.last_pose_s - state.stamp_s) / config.pose_follow_s)
             weight = news(covariance[:3, :3], noise, least)
-            nis = innovation.nis
-            innovation = replace(innovate(residual, covariance, _POSE_ROWS, weight), nis=nis)
+            gain = np.asarray(np.linalg.solve(covariance[:3, :3] + weight, covariance[:3]).T, float)
+            innovation = replace(innovation, gain=gain)
         mean, updated = joseph_update(
             np.array(state.mean), covariance, innovation, _POSE_ROWS, weight
         )
@@ -334,32 +282,3 @@ def _as_mean(values: Floats) -> Mean:
 def _square(upper: PoseUpper) -> Floats:
     a, b, c, d, e, f = upper
     return np.array([[a, b, c], [b, d, e], [c, e, f]])
-
-
-def _pair_nis(
-    upper: Upper,
-    one: tuple[int, float, int, float],
-    two: tuple[int, float, int, float],
-    variance_one: float,
-    variance_two: float,
-    residual_one: float,
-    residual_two: float,
-) -> float:
-    """Squared Mahalanobis distance of two scalars with rows as in `update`."""
-    i, a, j, b = one
-    k, c, m, d = two
-    row_i, row_j, row_k = INDEX[i], INDEX[j], INDEX[k]
-    s00 = a * a * upper[row_i[i]] + 2.0 * a * b * upper[row_i[j]] + b * b * upper[row_j[j]]
-    s11 = c * c * upper[row_k[k]] + 2.0 * c * d * upper[row_k[m]] + d * d * upper[INDEX[m][m]]
-    s01 = a * (c * upper[row_i[k]] + d * upper[row_i[m]])
-    s01 += b * (c * upper[row_j[k]] + d * upper[row_j[m]])
-    s00, s11 = s00 + variance_one, s11 + variance_two
-    cross = residual_one * residual_one * s11 + residual_two * residual_two * s00
-    return (cross - 2.0 * residual_one * residual_two * s01) / (s00 * s11 - s01 * s01)
-
-
-def _widened(upper: Upper, speed_m2ps2: float, rate_rad2ps2: float) -> Upper:
-    values = list(upper)
-    values[INDEX[_SPEED][_SPEED]] += speed_m2ps2
-    values[INDEX[_RATE][_RATE]] += rate_rad2ps2
-    return tuple(values)
