@@ -22,9 +22,9 @@ def read_classifier(name_or_path: str) -> PoleClassifier:
     Raises:
         InputError: no such model, not JSON, or made for other features.
     """
-    path = Path(__file__).with_name(f"{name_or_path}.json")
-    if "/" in name_or_path or name_or_path.endswith(".json") or not path.is_file():
-        path = Path(name_or_path)
+    path = Path(name_or_path)
+    if path.suffix != ".json" and path.name == name_or_path:
+        path = Path(__file__).parent / f"{name_or_path}.json"
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

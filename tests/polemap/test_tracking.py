@@ -1,0 +1,221 @@
+"""Tracks against a simulated truth: consistency, ids, birth and death; odometry between stamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from drivelog.samples import OdometrySample, VisibleRegion
+from polemap.config import TrackingConfig
+from polemap.odometry_history import OdometryHistory
+from polemap.tracking import Motion, PoleTracker, Sighting
+from vehicle.pose import Pose2D
+
+CONFIG = TrackingConfig()
+Floats = NDArray[np.float64]
+
+
+def view_to(range_m: float) -> VisibleRegion:
+    return VisibleRegion(np.zeros(2), -0.8, 0.8, 2.0, np.full(16, range_m))
+
+
+def sighting(
+    stamp_s: float,
+    points: Floats,
+    sd_m: float = 0.1,
+    probability: float = 0.95,
+    view: VisibleRegion | None = None,
+    width_m: float = 0.2,
+) -> Sighting:
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    n = len(points)
+    return Sighting(
+        stamp_s,
+        points,
+        np.tile(sd_m**2 * np.eye(2), (n, 1, 1)),
+        np.full(n, width_m),
+        np.full(n, np.nan),
+        np.full(n, probability),
+        view,
+    )
+
+
+@dataclass(frozen=True)
+class Passage:
+    """NEES of every confirmed track in every frame, and how many ids a pole got."""
+
+    nees: Floats
+    ids_per_pole: Floats
+
+
+def drive_by(rate_hz: float, seed: int, error_time_s: float) -> Passage:
+    """A straight road with poles on both sides; correlated errors, noisy odometry, misses."""
+    rng = np.random.default_rng(seed)
+    poles = np.column_stack([np.arange(10.0, 120.0, 9.0), np.where(np.arange(13) % 2, 4.0, -4.0)])
+    dt, speed = 1.0 / rate_hz, 10.0
+    tracker = PoleTracker(CONFIG)
+    keep = np.exp(-dt / error_time_s)
+    error = rng.standard_normal((len(poles), 2))
+    nees, owner = [], {}
+    pose = Pose2D(0.0, 0.0, 0.0)
+    for step in range(int(9.0 * rate_hz)):
+        local = pose.inverse().transform(poles)
+        away = np.hypot(*local.T)
+        seen = (away < 22.0) & (away > 3.0) & (np.abs(np.arctan2(local[:, 1], local[:, 0])) < 0.7)
+        shown = seen & (rng.random(len(poles)) < 0.85)
+        error = keep * error + np.sqrt(1 - keep**2) * rng.standard_normal(error.shape)
+        sd = np.stack([0.04 + 0.0015 * away**2, 0.05 + 0.004 * away], axis=1)
+        ray = local / away[:, None]
+        across = np.stack([-ray[:, 1], ray[:, 0]], axis=1)
+        points = local + error[:, :1] * sd[:, :1] * ray + error[:, 1:] * sd[:, 1:] * across
+        covariance = (
+            sd[:, :1, None] ** 2 * ray[:, :, None] * ray[:, None, :]
+            + sd[:, 1:, None] ** 2 * across[:, :, None] * across[:, None, :]
+        )
+        n = np.count_nonzero(shown)
+        ids = tracker.update(
+            Sighting(step * dt, points[shown], covariance[shown], np.full(n, 0.2),
+                     np.full(n, np.nan), np.full(n, 0.9), view_to(23.0))
+        )  # fmt: skip
+        for pole, track in zip(np.flatnonzero(shown), ids, strict=True):
+            owner.setdefault(int(pole), set()).add(int(track))
+        tracks = tracker.tracks
+        for track in np.flatnonzero(tracks.confirmed & (tracks.detection >= 0)):
+            gap = local - tracks.points_vehicle_m[track]
+            off = gap[np.hypot(*gap.T).argmin()]
+            nees.append(off @ np.linalg.solve(tracks.covariance_m2[track], off))
+        turn = 0.03 * np.sin(0.5 * step * dt) * dt
+        forward = speed * dt
+        pose = pose.compose(Pose2D(forward, 0.0, turn))
+        noisy_m = forward * (1 + CONFIG.speed_sd_share * rng.standard_normal())
+        noisy_m += CONFIG.speed_sd_mps * dt * rng.standard_normal()
+        noisy_turn = turn + CONFIG.yaw_rate_sd_radps * dt * rng.standard_normal()
+        tracker.predict(Motion(dt, noisy_m, 0.0, noisy_turn, forward))
+    counts = [len(ids - {-1}) for ids in owner.values()]
+    return Passage(np.array(nees), np.array(counts, dtype=np.float64))
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 13.0, 22.0])
+def test_tracks_are_consistent_and_keep_their_ids(rate_hz: float) -> None:
+    passages = [drive_by(rate_hz, seed, CONFIG.error_time_s) for seed in range(6)]
+    nees = np.concatenate([p.nees for p in passages])
+    # tracks of one pole are alike from frame to frame: about one fresh value a pole and second
+    independent = 6 * 13 * 1.5
+    low, high = chi2.ppf([0.0005, 0.9995], 2 * independent) / independent
+    assert low * 0.8 < nees.mean() < high * 1.1
+    assert np.concatenate([p.ids_per_pole for p in passages]).mean() < 1.15
+
+
+def test_id_survives_a_short_occlusion_and_an_unseen_pole_dies() -> None:
+    tracker = PoleTracker(CONFIG)
+    blocked = VisibleRegion(np.zeros(2), -0.8, 0.8, 2.0, np.full(16, 8.0))
+    for step in range(5):
+        ids = tracker.update(sighting(0.1 * step, [12.0, 1.0], view=view_to(25.0)))
+    first = ids[0]
+    for step in range(5, 15):  # a second behind a van
+        tracker.predict(Motion(0.1, 0.0, 0.0, 0.0, 0.0))
+        tracker.update(sighting(0.1 * step, np.empty((0, 2)), view=blocked))
+    assert tracker.tracks.confirmed.tolist() == [True]
+    assert tracker.update(sighting(1.5, [12.05, 1.0], view=view_to(25.0)))[0] == first
+    for step in range(16, 30):  # in plain view, and not there
+        tracker.update(sighting(0.1 * step, np.empty((0, 2)), view=view_to(25.0)))
+    assert len(tracker.tracks) == 0
+
+
+def test_one_doubtful_sighting_is_not_confirmed_and_two_good_ones_are() -> None:
+    tracker = PoleTracker(CONFIG)
+    tracker.update(sighting(0.0, [10.0, 0.0], probability=0.6))
+    assert not tracker.tracks.confirmed.any()
+    tracker = PoleTracker(CONFIG)
+    tracker.update(sighting(0.0, [10.0, 0.0], probability=0.97))
+    assert not tracker.tracks.confirmed.any()
+    tracker.update(sighting(0.1, [10.0, 0.0], probability=0.97))
+    assert tracker.tracks.confirmed.all()
+    faint = PoleTracker(CONFIG)
+    faint.update(sighting(0.0, [10.0, 0.0], probability=0.3))
+    assert len(faint.tracks) == 0
+
+
+def test_twice_the_frames_are_not_twice_the_evidence() -> None:
+    odds = []
+    for rate_hz in (10, 40):
+        tracker = PoleTracker(CONFIG)
+        tracker.update(sighting(0.0, [10.0, 0.0], probability=0.7))
+        for step in range(1, rate_hz // 5 + 1):
+            tracker.update(sighting(step / rate_hz, [10.0, 0.0], probability=0.7))
+        odds.append(tracker.tracks.log_odds[0])
+    assert odds[0] == pytest.approx(odds[1], abs=1e-9)
+
+
+def test_assignment_is_optimal_where_the_nearest_is_wrong() -> None:
+    tracker = PoleTracker(CONFIG)
+    ids = tracker.update(sighting(0.0, [[10.0, 0.0], [10.0, 0.5]], sd_m=0.3))
+    # both moved left by 0.35: the first detection is nearest to the second track
+    later = tracker.update(sighting(0.1, [[10.0, 0.35], [10.0, 0.85]], sd_m=0.3))
+    assert later.tolist() == ids.tolist()
+
+
+def test_gate_bears_a_new_track_beyond_it() -> None:
+    tracker = PoleTracker(CONFIG)
+    one = tracker.update(sighting(0.0, [10.0, 0.0]))
+    assert tracker.update(sighting(0.1, [10.0, 1.5]))[0] != one[0]
+    assert len(tracker.tracks) == 2
+
+
+def test_prediction_moves_points_and_spreads_them() -> None:
+    tracker = PoleTracker(CONFIG)
+    tracker.update(sighting(0.0, [[10.0, 2.0], [15.0, -3.0]]))
+    before = tracker.tracks
+    move = Pose2D(1.2, 0.1, 0.2)
+    tracker.predict(Motion(0.1, move.x_m, move.y_m, move.yaw_rad, 1.25))
+    after = tracker.tracks
+    assert np.allclose(after.points_vehicle_m, move.inverse().transform(before.points_vehicle_m))
+    for one, two in zip(before.covariance_m2, after.covariance_m2, strict=True):
+        assert np.linalg.eigvalsh(two)[0] > 0
+        assert np.trace(two) > np.trace(one)
+
+
+def test_width_and_height_are_averaged_and_unknown_ones_skipped() -> None:
+    tracker = PoleTracker(CONFIG)
+    for step, width in enumerate((0.2, np.nan, 0.3, 0.25)):
+        tracker.update(sighting(0.1 * step, [10.0, 0.0], width_m=width))
+    assert 0.2 < tracker.tracks.width_m[0] < 0.3
+    assert np.isnan(tracker.tracks.height_m[0])
+
+
+def _odometry(stamps: Floats, speed: float, rate: float) -> OdometryHistory:
+    history = OdometryHistory()
+    for stamp in stamps:
+        history.push(OdometrySample(float(stamp), float(stamp), speed, rate))
+    return history
+
+
+def test_odometry_between_stamps_is_the_arc() -> None:
+    history = _odometry(np.arange(0, 2, 0.02), 8.0, 0.3)
+    motion = history.between(0.5, 1.25)
+    assert motion is not None
+    turn = 0.3 * 0.75
+    assert motion.turn_rad == pytest.approx(turn)
+    assert motion.forward_m == pytest.approx(8.0 / 0.3 * np.sin(turn), abs=1e-6)
+    assert motion.left_m == pytest.approx(8.0 / 0.3 * (1 - np.cos(turn)), abs=1e-6)
+
+
+def test_odometry_with_a_hole_or_running_back_says_nothing() -> None:
+    stamps = np.concatenate([np.arange(0, 1, 0.02), np.arange(4, 5, 0.02)])
+    history = _odometry(stamps, 8.0, 0.0)
+    assert history.between(0.5, 4.5) is None
+    assert history.between(0.8, 0.5) is None
+    assert history.between(4.2, 4.4) is not None
+    assert OdometryHistory().between(0.0, 0.1) is None
+
+
+def test_late_doubled_and_broken_odometry_finds_its_place() -> None:
+    history = _odometry(np.array([0.0, 0.2, 0.1, 0.2]), 5.0, 0.0)
+    history.push(OdometrySample(0.15, 0.15, np.nan, 0.0))
+    motion = history.between(0.0, 0.2)
+    assert motion is not None
+    assert motion.forward_m == pytest.approx(1.0)
