@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
+from drivelog.drive import open_drive
 from drivelog.errors import ConfigError
+from polemap.io import read_map
 from simulate.drive import count_frames, simulate_drive
+from simulate.kitti_layout import write_kitti_odometry
 from simulate.scenario import scenario_names
 from tools.progress import progress
 from tools.settings import ConfigOption, SeedOption, SetOption, load_settings
@@ -23,6 +27,9 @@ def command(
         bool, typer.Option("--objects", help="Also write the true poles and the true motion.")
     ] = False,
     images: Annotated[bool, typer.Option(help="Render the stereo pairs.")] = True,
+    layout: Annotated[
+        str, typer.Option("--format", help="folder (default) or kitti_odometry.")
+    ] = "folder",
     list_worlds: Annotated[bool, typer.Option("--list", help="Name the worlds.")] = False,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -36,6 +43,7 @@ def command(
       polemap simulate suburb --out dusk --set simulate.light=dusk --set simulate.camera.bits=12
       polemap simulate suburb --out blurred \\
         --set 'simulate.faults=[{kind: blurred_frames, from_s: 5, until_s: 9}]'
+      polemap simulate suburb --out kitti --format kitti_odometry --objects
       polemap simulate --list
 
     The same scenario, seed and settings give the same bytes. docs/simulator.md explains worlds,
@@ -46,16 +54,22 @@ def command(
         return
     if not scenario or out is None:
         raise ConfigError("simulate: SCENARIO and --out are needed; --list names the worlds")
+    if layout not in ("folder", "kitti_odometry"):
+        raise ConfigError(f"simulate: --format {layout} is unknown; use folder or kitti_odometry")
     settings = load_settings(config, set_values)
     frames = count_frames(scenario, laps, seed, settings.simulate) if images else 0
     with progress(frames, f"simulating {scenario}") as advance:
-        simulate_drive(
-            scenario,
-            out,
-            laps,
-            seed,
-            settings.simulate,
-            objects=objects,
-            images=images,
-            advance=advance,
-        )
+        if layout == "folder":
+            simulate_drive(
+                scenario, out, laps, seed, settings.simulate,
+                objects=objects, images=images, advance=advance,
+            )  # fmt: skip
+            return
+        with TemporaryDirectory() as place:
+            made = simulate_drive(
+                scenario, Path(place) / "drive", laps, seed, settings.simulate,
+                objects=True, images=images, advance=advance,
+            )  # fmt: skip
+            drive = open_drive(made)
+            poles = read_map(made / "objects.geojson", drive.frame) if objects else None
+            write_kitti_odometry(drive, out, "00", poles)

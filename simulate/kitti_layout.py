@@ -1,0 +1,97 @@
+"""A drive in the layout of the KITTI odometry benchmark: sequences/SS, poses/SS.txt, poles/SS.csv.
+
+That layout has neither odometry nor GNSS; whoever reads it derives them from the poses and says so.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.atomic import atomic_folder
+from drivelog.drive import Drive
+from drivelog.errors import ConfigError, InputError
+from polemap.landmark_map import PoleMap
+from stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+
+# the "Velodyne" sits in the left camera: x forward, y left, z up to x right, y down, z forward
+_CAMERA_FROM_LIDAR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def camera_poses(poses: Floats, rig: StereoRig) -> Floats:
+    """Poses `(n, 4, 4)` of the left camera from rear-axle poses `(n, 3)`, on level ground."""
+    mount = rig.vehicle_from_camera
+    vehicle_from_camera = np.eye(4)
+    vehicle_from_camera[:3, :3] = mount.rotation()
+    vehicle_from_camera[:3, 3] = (mount.x_m, mount.y_m, mount.z_m)
+    out = np.tile(np.eye(4), (len(poses), 1, 1))
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1] = c, -s, s, c
+    out[:, :2, 3] = poses[:, :2]
+    return np.asarray(out @ vehicle_from_camera)
+
+
+def write_kitti_odometry(
+    drive: Drive, root: Path, sequence: str = "00", pole_map: PoleMap | None = None
+) -> Path:
+    """Writes a drive as sequence `sequence` under a new folder `root`; returns the sequence folder.
+
+    Raises:
+        ConfigError: the drive lacks images or a reference, or its pictures are not 8 bit.
+        InputError: the place cannot be written to.
+    """
+    if drive.rig is None or not drive.has_frames or drive.reference is None:
+        raise ConfigError(f"drive {drive.name}: the KITTI layout needs images and a reference")
+    poses = drive.reference.at(drive.frame_stamps_s)
+    if not np.isfinite(poses).all():
+        raise ConfigError(f"drive {drive.name}: the reference does not cover every picture")
+    cameras = camera_poses(poses, drive.rig)
+    from_first = np.linalg.inv(cameras[0]) @ cameras
+    with atomic_folder(root) as folder:
+        place = folder / "sequences" / sequence
+        for side in ("image_0", "image_1"):
+            (place / side).mkdir(parents=True)
+        for row in range(len(poses)):
+            frame = drive.read_frame(row)
+            for side, image in (("image_0", frame.left), ("image_1", frame.right)):
+                if image.dtype != np.uint8:
+                    raise ConfigError("the KITTI layout has 8-bit pictures: set camera.bits=8")
+                done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+                if not done:
+                    raise InputError(f"{place / side}: picture {row} cannot be encoded")
+                (place / side / f"{row:06d}.png").write_bytes(data.tobytes())
+        times = drive.frame_stamps_s - drive.frame_stamps_s[0]
+        np.savetxt(place / "times.txt", times, fmt="%.6e")
+        (place / "calib.txt").write_text(_calibration(drive.rig), encoding="utf-8")
+        for name in ("poses", "poles"):
+            (folder / name).mkdir()
+        np.savetxt(folder / "poses" / f"{sequence}.txt", from_first[:, :3].reshape(-1, 12))
+        if pole_map is not None:
+            points = _in_first_lidar(pole_map.points_m, cameras[0])
+            np.savetxt(
+                folder / "poles" / f"{sequence}.csv", points, fmt="%.4f", delimiter=",",
+                header="x_m,y_m", comments="",
+            )  # fmt: skip
+    return Path(root) / "sequences" / sequence
+
+
+def _in_first_lidar(points_m: Floats, first_camera: Floats) -> Floats:
+    count = len(points_m)
+    ground = np.column_stack([points_m, np.zeros(count), np.ones(count)])
+    lidar_from_map = np.linalg.inv(_CAMERA_FROM_LIDAR) @ np.linalg.inv(first_camera)
+    return np.asarray((ground @ lidar_from_map.T)[:, :2])
+
+
+def _calibration(rig: StereoRig) -> str:
+    lines = []
+    for name, shift in (("P0", 0.0), ("P1", -rig.focal_px * rig.baseline_m)):
+        matrix = [rig.focal_px, 0, rig.cx_px, shift, 0, rig.focal_px, rig.cy_px, 0, 0, 0, 1, 0]
+        lines.append(f"{name}: " + " ".join(f"{value:.12e}" for value in matrix))
+    tr = _CAMERA_FROM_LIDAR[:3].ravel()
+    lines.append("Tr: " + " ".join(f"{value:.12e}" for value in tr))
+    return "\n".join(lines) + "\n"
