@@ -83,17 +83,25 @@ def point_drive(
     latency_jitter_s: float = 0.0,
     gnss_hz: float = 1.0,
     speed_mps: float = 10.0,
+    densities: tuple[float, float] | None = None,
 ) -> PointDrive:
     """Drive for a while and sample it.
 
     Args:
         rng: all randomness.
         latency_s: from a pose's stamp to its arrival, plus `latency_jitter_s` (exponential).
-        speed_mps: about which the speed wanders.
+        speed_mps: about which the speed wanders, or from which it starts.
+        densities: of white accelerations along (m^2/s^3) and about the vertical (rad^2/s^3); with
+            them the truth is drawn from the CTRV model instead of a city's manners.
     """
     noise = noise or PointNoise()
     stamps = np.arange(round(duration_s * _TRUTH_HZ) + 1) / _TRUTH_HZ
-    states = _path(rng, stamps, speed_mps)
+    speed, rate = (
+        _city(rng, len(stamps), speed_mps)
+        if densities is None
+        else _white(rng, len(stamps), speed_mps, *densities)
+    )
+    states = _path(rng, speed, rate)
     bare = PointDrive(stamps, states, (), (), (), noise)
     return PointDrive(
         stamps,
@@ -116,20 +124,30 @@ def _wander(rng: np.random.Generator, count: int, time_s: float, sd: float) -> F
     return np.asarray(sd * smooth[settle:])
 
 
-def _path(rng: np.random.Generator, stamps: Floats, speed_mps: float) -> Floats:
-    n = len(stamps)
-    speed = np.maximum(speed_mps + _wander(rng, n, 4.0, 0.35 * speed_mps), 0.0)
+def _city(rng: np.random.Generator, count: int, speed_mps: float) -> tuple[Floats, Floats]:
+    """Speed and yaw rate `(n,)` that wander smoothly."""
+    speed = np.maximum(speed_mps + _wander(rng, count, 4.0, 0.35 * speed_mps), 0.0)
     # turns of a few seconds, with at most 3 m/s^2 sideways
-    rate = _wander(rng, n, 1.0, 0.15)
+    rate = _wander(rng, count, 1.0, 0.15)
     limit = np.minimum(3.0 / np.maximum(speed, 0.1), speed / 5.0)
-    rate = limit * np.tanh(rate / np.maximum(limit, 1e-9))
-    dt = 1.0 / _TRUTH_HZ
+    return speed, limit * np.tanh(rate / np.maximum(limit, 1e-9))
+
+
+def _white(
+    rng: np.random.Generator, count: int, speed_mps: float, along: float, about: float
+) -> tuple[Floats, Floats]:
+    """Speed and yaw rate `(n,)` as random walks."""
+    walks = rng.normal(size=(2, count)) * np.sqrt(np.array([[along], [about]]) / _TRUTH_HZ)
+    speed, rate = np.cumsum(walks, axis=1)
+    return speed_mps + speed, rate
+
+
+def _path(rng: np.random.Generator, speed: Floats, rate: Floats) -> Floats:
+    n, dt = len(speed), 1.0 / _TRUTH_HZ
     turn = rate * dt
     yaw = rng.uniform(-np.pi, np.pi) + np.concatenate([[0.0], np.cumsum(turn[:-1])])
-    steps = move_along_arc(np.stack([np.zeros(n), np.zeros(n), yaw], axis=1), speed * dt, turn)[
-        :, :2
-    ]
-    way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps[:-1], axis=0)])
+    steps = move_along_arc(np.stack([np.zeros(n), np.zeros(n), yaw], axis=1), speed * dt, turn)
+    way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps[:-1, :2], axis=0)])
     return np.column_stack([way, wrap_angle(yaw), speed, rate])
 
 

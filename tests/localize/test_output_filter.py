@@ -178,69 +178,41 @@ def test_the_filter_equals_batch_least_squares_on_its_linearisation(seed):
     assert np.abs(covariance - unpack(output.newest.upper)).max() < 1e-6
 
 
-def matched_run(seed, config, seconds=16.0):
-    """Truth drawn from the filter's own model, linear in all but its motion; NEES per tenth second.
-
-    The car is fast and hardly turns, so that linearisation does not disturb the statistics.
-    """
-    rng = np.random.default_rng(seed)
-    qa = 2 * config.acceleration_mps2**2 * config.acceleration_time_s
-    qw = 2 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s
-    pose_r = np.diag([0.08**2, 0.06**2, 0.005**2])
-    state = np.array([0.0, 0.0, rng.uniform(-3, 3), 30.0, 0.0])
-    scale = rng.normal(0.0, config.speed_scale_sd)
-    offset = rng.normal(0.0, config.yaw_rate_offset_sd_radps)
-    output, errors, covariances, decided = OutputFilter(config), [], [], []
-    for step in range(int(seconds * 50)):
-        stamp, dt = step * 0.02, 0.02
-        if step:
-            noise = ctrv_process_noise(
-                state,
-                dt,
-                acceleration_m2ps3=qa,
-                yaw_acceleration_rad2ps3=qw,
-                lateral_m2ps=2
-                * config.slip_rad_per_mps2**2
-                * config.slip_time_s
-                * (state[3] ** 2 * state[4]) ** 2,
-                along_m2ps=2
-                * config.odometry_error_time_s
-                * (config.speed_error_share * state[3]) ** 2,
-                yaw_rad2ps=2 * config.odometry_error_time_s * config.yaw_rate_error_radps**2,
-            )
-            state = ctrv_step(state, dt)
-            state = state + np.linalg.cholesky(noise + 1e-18 * np.eye(5)) @ rng.normal(size=5)
-        if step % 3 == 0:
-            measured = state[:3] + np.sqrt(np.diag(pose_r)) * rng.normal(size=3)
-            output.pose(stamp, measured, pose_r)
-        output.odometry(
-            stamp + 1e-6,
-            state[3] * (1 + scale) + rng.normal(0.0, config.speed_sd_mps),
-            state[4] + offset + rng.normal(0.0, config.yaw_rate_sd_radps),
-        )
-        if stamp > 4.0 and step % 5 == 0:
-            newest = output.newest
-            errors.append(np.array(newest.mean[:3]))
-            covariances.append(unpack(newest.upper)[:3, :3])
-            decided.append(state[:3].copy())
-    return nees(np.array(errors), np.array(decided), np.array(covariances)).mean() / 3.0
+MATCHED = PLAIN.model_copy(
+    update={
+        "acceleration_mps2": 1.0,
+        "yaw_acceleration_radps2": 0.1,
+        "slip_rad_per_mps2": 0.0,
+        "speed_error_share": 0.0,
+        "yaw_rate_error_radps": 0.0,
+        "speed_scale_sd": 0.01,
+        "speed_scale_walk": 0.0,
+        "yaw_rate_offset_sd_radps": 0.001,
+        "yaw_rate_offset_walk_radps": 0.0,
+        "yaw_rate_sd_radps": 0.002,
+    }
+)
+DENSITIES = (2 * 1.0**2 * 0.5, 2 * 0.1**2 * 0.3)
 
 
 def test_with_matched_noise_the_filter_is_consistent():
-    """NEES averages 1 per degree of freedom; errors last about a second, so of 8 x 12 s some 100
-    independent samples of 3 degrees of freedom remain: sd about sqrt(2 / 300) = 0.08."""
-    config = OutputConfig(
-        pose_errors="independent",
-        pose_floor_m=0.0,
-        pose_floor_rad=0.0,
-        yaw_acceleration_radps2=0.05,
-        acceleration_mps2=0.5,
-        speed_scale_walk=0.0,
-        yaw_rate_offset_walk_radps=0.0,
-        gate=False,
-    )
-    mean = np.mean([matched_run(seed, config) for seed in range(8)])
-    assert abs(mean - 1.0) < 4 * 0.08
+    """NEES averages 1 per degree of freedom at 100 Hz behind poses 110 ms late.
+
+    Errors last some 0.3 s, so 20 drives of 10 s give about 600 independent samples of 3 degrees of
+    freedom; but scale and offset are one draw a drive: 20 samples of their share. The sd of the
+    mean is estimated from the drives themselves.
+    """
+    means = []
+    for seed in range(20):
+        drive = point_drive(
+            np.random.default_rng(seed), duration_s=12.0, speed_mps=20.0, densities=DENSITIES
+        )
+        stamps, states, covariances, _ = run(drive, MATCHED)
+        late = stamps > 2.0
+        true = drive.truth(stamps[late])[:, :3]
+        means.append(nees(states[late, :3], true, covariances[late]).mean() / 3.0)
+    assert abs(np.mean(means) - 1.0) < 4 * np.std(means, ddof=1) / math.sqrt(20)
+    assert 0.8 < np.mean(means) < 1.25
 
 
 def test_late_poses_cost_little_and_ignoring_their_delay_costs_much():
