@@ -9,11 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from drivelog.errors import ConfigError
 from tools.report.evaluate import RouteResult, SystemResult
 from tools.report.exclusions import excluded_mask
+from tools.report.localizability import localizability, stereo_sensor
 from tools.report.route_tables import KIND_NAMES, runs_of
 from tools.report.style import COLOURS, FAINT, INK, LAPS, SHADE, Picture, drawing, finish, tidy
-from tools.report.trajectory import Trajectory
+from tools.report.sweep_spec import settings_of
 
 Floats = NDArray[np.float64]
 
@@ -24,8 +26,17 @@ CHI2_99 = 11.345
 
 def route_pictures(result: RouteResult, slug: str) -> list[Picture]:
     """Every picture that the route has data for, in the order of the page."""
-    makers = (map_picture, close_up, lateral_along_route, monte_carlo, errors_over_time,
-              consistency, poles_along_route, timing_picture)  # fmt: skip
+    makers = (
+        map_picture,
+        close_up,
+        lateral_along_route,
+        monte_carlo,
+        errors_over_time,
+        consistency,
+        poles_along_route,
+        localizability_picture,
+        timing_picture,
+    )
     made = [maker(result, f"{slug}-{maker.__name__.replace('_', '-')}") for maker in makers]
     return [picture for picture in made if picture is not None]
 
@@ -59,6 +70,7 @@ def close_up(result: RouteResult, key: str) -> Picture | None:
         return None
     path = kf.example[0].stretch.path
     difference = np.nan_to_num(pf.example[0].lateral_m - kf.example[0].lateral_m)
+    difference[:, kf.example[0].counted < min(2, len(difference))] = 0.0
     window = max(min(int(CLOSE_UP_M / path.station_m[1]), len(path.station_m) - 1), 2)
     power = np.cumsum(np.concatenate([[0.0], (difference**2).sum(axis=0)]))
     first = int(np.argmax(power[window:] - power[:-window]))
@@ -291,6 +303,45 @@ def poles_along_route(result: RouteResult, key: str) -> Picture | None:
         )
 
 
+def localizability_picture(result: RouteResult, key: str) -> Picture | None:
+    """What the map's poles allow along the first recording, in one look."""
+    recording, poles = result.route.recordings[0], result.route.pole_map
+    if poles is None or len(poles) == 0:
+        return None
+    try:
+        settings = settings_of(recording.main.config, ())
+    except ConfigError:
+        return None
+    rig = recording.drive.rig if recording.drive else None
+    focal_px, baseline_m = (rig.focal_px, rig.baseline_m) if rig else (800.0, 0.5)
+    sensor = stereo_sensor(settings, focal_px, baseline_m)
+    bound = localizability(recording.guide, poles, sensor)
+    with drawing(8.0, 3.6) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+        for name, values, colour in (
+            ("lateral", bound.lateral_sd_m, COLOURS["kf"]),
+            ("longitudinal", bound.longitudinal_sd_m, COLOURS["pf"]),
+        ):
+            upper.plot(bound.distance_m, values, color=colour, label=name, lw=0.9)
+        upper.set_yscale("log")
+        upper.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        upper.yaxis.set_minor_formatter(NullFormatter())
+        upper.legend(fontsize=8, ncols=2)
+        tidy(upper, "", "sd [m]")
+        lower.plot(bound.distance_m, bound.in_view, color=COLOURS["pole"], drawstyle="steps-mid")
+        lower.set_ylim(bottom=0)
+        tidy(lower, "distance driven [m]", "poles in view")
+        camera = "the drive's camera" if rig else "a camera of 800 px and 0.5 m baseline"
+        return finish(
+            figure,
+            key,
+            "Localizability",
+            f"Position standard deviation that one look at the mapped poles allows (Cramér–Rao "
+            f"bound, error model of {camera}, {sensor.range_m:.0f} m of view); a filter gathers "
+            "many looks.",
+        )
+
+
 def timing_picture(result: RouteResult, key: str) -> Picture | None:
     """Histogram of the time an update takes by stage, or its quantiles where only they exist."""
     runs = [run for group in runs_of(result, result.route.setting_names[0]) for run in group]
@@ -397,8 +448,3 @@ def _robust_limit(series: Sequence[Floats]) -> float:
     """Axis limit that one excursion does not blow up: 1.5 times the 99.5 % quantile."""
     largest = max((float(np.quantile(np.abs(v), 0.995)) for v in series if len(v)), default=1.0)
     return max(1.5 * largest, 1e-3)
-
-
-def tracks_of(one: SystemResult) -> tuple[Trajectory, ...]:
-    """Trajectories of the first run."""
-    return one.system.tracks[0]

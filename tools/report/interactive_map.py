@@ -17,7 +17,7 @@ from tools.report.figures import drawn_systems, near_points, system_label
 Floats = NDArray[np.float64]
 
 SIMPLIFY_M = 0.01
-MARGIN_M = 12.0
+MARGIN_M = 25.0
 
 
 @dataclass(frozen=True, slots=True)
