@@ -17,6 +17,7 @@ from polemap.city.work import DriveTask, observe_all
 from polemap.io import check_writable, export_map, read_map, write_map
 from polemap.landmark_map import PoleMap
 from polemap.upkeep import CHANGE, DISTANCE, compare_maps, diff_map
+from tools.map_picture import check_picture, draw_map, route_localizability, write_localizability
 from tools.map_worker import observe_task, open_part, scan
 from tools.progress import progress
 from tools.settings import ConfigOption, SeedOption, SetOption, Settings, load_settings
@@ -55,6 +56,13 @@ def command(
         Path | None,
         typer.Option("--convert", help="A map or inventory to write in another format instead."),
     ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Draw map and routes: .png, .svg or .pdf.")
+    ] = None,
+    layer: Annotated[
+        Path | None,
+        typer.Option("--localizability", help="Bounds on the pose along the routes: .geojson."),
+    ] = None,
     workers: Annotated[
         int | None, typer.Option("--workers", min=1, help="Local processes, a drive each.")
     ] = None,
@@ -72,6 +80,7 @@ def command(
         polemap map drives/park --lap map --out park.geojson
         polemap map drives/tuesday drives/friday --update campus.gpkg --align --out campus.gpkg
         polemap map drives/* --workers 8 --out city.parquet
+        polemap map drives/monday --out a.gpkg --picture a.png --localizability route.geojson
         polemap map --diff campus_old.gpkg campus.gpkg --out changes.geojson
         polemap map --convert lamps.osm --out lamps.gpkg
         polemap map --convert campus.gpkg --out campus.xodr
@@ -91,6 +100,7 @@ def command(
     if out is None:
         raise InputError("--out is missing: it names the map to write, such as campus.gpkg")
     check_writable(out)
+    check_picture(picture)
     opened = [open_part(path, lap, seed) for path in drives]
     # the map keeps its own zone: drives come to it
     old = read_map(update, allow_empty=True) if update is not None else None
@@ -115,6 +125,12 @@ def command(
     write_map(built.pole_map, out)
     if folder.is_dir():
         clear(folder)
+    if picture is not None or layer is not None:
+        routes = [route_localizability(built.pole_map, drive) for drive in opened]
+        if layer is not None:
+            write_localizability(routes, built.pole_map.frame, layer)
+        if picture is not None:
+            draw_map(built.pole_map, routes, picture)
     _say(built, opened, out)
 
 
