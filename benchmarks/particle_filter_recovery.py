@@ -1,0 +1,142 @@
+"""Recovery and consistency of the particle filter on drives of points, case by case.
+
+`python -m benchmarks.particle_filter_recovery [SEEDS] [CASE,CASE...]` prints the table of
+docs/particle_filter.md. Not timed, so `python -m benchmarks` leaves it out.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.samples import GnssFix, OdometrySample, PoleScan
+from localize.config import LocalizeConfig
+from localize.particle_filter import ParticleFilter, PfEstimate
+from simulate.point_world import PointDrive, PointScenario, simulate_points
+from vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+
+_BASE = PointScenario(duration_s=40.0)
+_SILENT = {
+    f"alpha{name}": value / 3.0
+    for name, value in (
+        ("1_speed_mps", 0.2),
+        ("1_relative", 0.07),
+        ("2_yaw_rate_radps", 0.03),
+        ("3_rotation_s", 0.01),
+        ("4_rotation_rad", 0.003),
+        ("5_slip_m_per_sqrt_m", 0.015),
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A scenario, what differs in the settings, a believed start, and when the trouble begins."""
+
+    scenario: PointScenario = _BASE
+    settings: dict[str, Any] = field(default_factory=dict)
+    start_offset: tuple[float, float, float] | None = None
+    since_s: float = 5.0
+
+
+CASES = {
+    "plain": Case(),
+    "kidnapped_50m": Case(replace(_BASE, kidnap_s=15.0), since_s=15.0),
+    "start_50m_off": Case(start_offset=(30.0, 40.0, 0.0), since_s=0.0),
+    "start_turned_180": Case(start_offset=(0.0, 0.0, np.pi), since_s=0.0),
+    "start_50m_and_180": Case(start_offset=(30.0, 40.0, np.pi), since_s=0.0),
+    "gnss_outage_60s": Case(
+        replace(_BASE, duration_s=90.0, gnss_outage=(10.0, 70.0)), since_s=10.0
+    ),
+    "clutter_30": Case(replace(_BASE, clutter_share=0.3)),
+    "missed_40": Case(replace(_BASE, p_detection=0.6)),
+    "clutter_30_missed_40": Case(replace(_BASE, clutter_share=0.3, p_detection=0.6)),
+    "kidnapped_clutter_missed": Case(
+        replace(_BASE, kidnap_s=15.0, clutter_share=0.3, p_detection=0.6), since_s=15.0
+    ),
+    "noise_a_third": Case(settings=_SILENT),
+    "11hz_300_particles": Case(replace(_BASE, scan_hz=11.0), {"particles": 300}),
+}
+
+
+def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], ParticleFilter]:
+    """One seeded drive and the estimates of the filter."""
+    drive = simulate_points(case.scenario, np.random.default_rng(seed))
+    particle_filter = ParticleFilter(
+        drive.pole_map,
+        LocalizeConfig(**case.settings),
+        drive.wheelbase_m,
+        np.random.default_rng(seed + 1000),
+    )
+    if case.start_offset is not None:
+        start = drive.truth[0] + np.array(case.start_offset)
+        particle_filter.set_pose(0.0, start, np.diag([0.25, 0.25, 0.003]))
+    antenna, estimates = np.zeros(2), []
+    for sample in drive.samples:
+        if isinstance(sample, OdometrySample):
+            particle_filter.predict(sample)
+        elif isinstance(sample, GnssFix):
+            particle_filter.gnss(sample, antenna)
+        elif isinstance(sample, PoleScan):
+            estimate = particle_filter.update(sample)
+            if estimate is not None:
+                estimates.append(estimate)
+    return drive, estimates, particle_filter
+
+
+def rms(values: Floats) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def judge(drive: PointDrive, estimates: list[PfEstimate], since_s: float) -> dict[str, float]:
+    """Seconds from `since_s` until the error stays below 1 m and 3 degrees, and the errors of
+    what comes 15 s after it."""
+    stamps = np.array([e.stamp_s for e in estimates])
+    truth = np.array([drive.truth_at(s) for s in stamps])
+    offset = np.array([e.pose for e in estimates]) - truth
+    offset[:, 2] = wrap_angle(offset[:, 2])
+    c, s = np.cos(truth[:, 2]), np.sin(truth[:, 2])
+    along = c * offset[:, 0] + s * offset[:, 1]
+    across = c * offset[:, 1] - s * offset[:, 0]
+    inverse = np.linalg.inv(np.array([e.covariance for e in estimates]))
+    nees = np.einsum("ni,nij,nj->n", offset, inverse, offset) / 3.0
+    bad = (np.hypot(along, across) > 1.0) | (np.abs(offset[:, 2]) > np.radians(3.0))
+    bad &= stamps > since_s
+    late = stamps > since_s + 15.0
+    return {
+        "found_after_s": float(stamps[bad].max() - since_s) if bad.any() else 0.0,
+        "lateral_rmse_m": rms(across[late]),
+        "longitudinal_rmse_m": rms(along[late]),
+        "yaw_rmse_deg": float(np.degrees(rms(offset[late, 2]))),
+        "nees": float(nees[late].mean()),
+    }
+
+
+def main(seeds: int, names: list[str]) -> None:
+    print("case | found within 10 s | slowest | lateral, along [m] | yaw [deg] | NEES | restarts")
+    for name in names:
+        rows, restarts = [], 0
+        for seed in range(seeds):
+            drive, estimates, particle_filter = drive_through(CASES[name], seed)
+            rows.append(judge(drive, estimates, CASES[name].since_s))
+            restarts += particle_filter.counts["reinitializations"]
+        after = np.array([row["found_after_s"] for row in rows])
+        mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+        print(
+            f"{name} | {(after <= 10.0).sum()} of {seeds} | {after.max():.1f} s | "
+            f"{mean['lateral_rmse_m']:.3f}, {mean['longitudinal_rmse_m']:.3f} | "
+            f"{mean['yaw_rmse_deg']:.2f} | {mean['nees']:.2f} | {restarts}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    chosen = sys.argv[2].split(",") if len(sys.argv) > 2 else list(CASES)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20, chosen)

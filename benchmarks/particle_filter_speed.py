@@ -1,0 +1,127 @@
+"""Time of a full particle-filter update, and of its assignment against a loop over scipy.
+
+`run()` is collected by `python -m benchmarks`. The scene is that of the requirement: 1000
+particles, 10 poles in the scan, 25 map poles around; an update is predict (two odometry steps),
+weigh with optimal assignment, estimate, resample.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.frames import EarthFrame
+from drivelog.samples import OdometrySample, PoleScan, VisibleRegion
+from localize.config import LocalizeConfig
+from localize.particle_filter import ParticleFilter
+from polemap.association import Landmarks, PoleModel, assign, pair_gains, pole_log_likelihood
+from polemap.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+
+_SEEN, _IN_VIEW = 10, 25
+_VIEW = VisibleRegion(np.array([1.5, 0.0]), -0.6, 0.6, 2.0, np.full(32, 40.0))
+
+
+def _map(rng: np.random.Generator) -> PoleMap:
+    """25 poles within the view from the origin."""
+    bearing = rng.uniform(-0.5, 0.5, _IN_VIEW)
+    distance = rng.uniform(6.0, 36.0, _IN_VIEW)
+    points = np.stack([1.5 + distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
+    return PoleMap(
+        EarthFrame("local", name="benchmark"),
+        np.arange(_IN_VIEW),
+        points,
+        np.tile(np.eye(2) * 0.05**2, (_IN_VIEW, 1, 1)),
+        rng.uniform(0.1, 0.5, _IN_VIEW),
+        np.full(_IN_VIEW, np.nan),
+        np.ones(_IN_VIEW, dtype=np.int64),
+        np.ones(_IN_VIEW, dtype=np.int64),
+        np.ones(_IN_VIEW),
+    )
+
+
+def _scan(stamp_s: float, world: PoleMap, pose: Floats, rng: np.random.Generator) -> PoleScan:
+    rows = rng.choice(_IN_VIEW, _SEEN, replace=False)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    local = (world.points_m[rows] - pose[:2]) @ np.array([[c, -s], [s, c]])
+    return PoleScan(
+        stamp_s,
+        stamp_s,
+        local + rng.normal(0, 0.1, local.shape),
+        np.tile(np.eye(2) * 0.1**2, (_SEEN, 1, 1)),
+        world.width_m[rows] + rng.normal(0, 0.05, _SEEN),
+        rows,
+        np.full(_SEEN, 0.9),
+        _VIEW,
+    )
+
+
+def _figures(times_s: list[float]) -> dict[str, float]:
+    values = np.array(times_s) * 1e3
+    median, p95, p99 = np.percentile(values, [50, 95, 99])
+    return {"median_ms": float(median), "p95_ms": float(p95), "p99_ms": float(p99)}
+
+
+def update_times(updates: int = 400, seed: int = 0) -> list[float]:
+    """Seconds of each full update at 22 Hz while creeping forward, so that the scene stays."""
+    rng = np.random.default_rng(seed)
+    world = _map(rng)
+    particle_filter = ParticleFilter(world, LocalizeConfig(), 2.7, np.random.default_rng(seed))
+    particle_filter.set_pose(0.0, np.zeros(3), np.diag([0.2, 0.2, 0.001]))
+    times, pose, interval, speed = [], np.zeros(3), 1.0 / 22.0, 0.3
+    for k in range(1, updates + 1):
+        stamp = k * interval
+        pose[0] = speed * stamp
+        scan = _scan(stamp, world, pose, rng)
+        begin = time.perf_counter()
+        for step in (stamp - 0.5 * interval, stamp):
+            particle_filter.predict(OdometrySample(step, step, speed, 0.0))
+        particle_filter.update(scan)
+        times.append(time.perf_counter() - begin)
+    return times[50:]
+
+
+def assignment_times(rounds: int = 15) -> dict[str, list[float]]:
+    """Seconds for 1000 particles, in turn: the whole likelihood by the kernel; only the 1000
+    assignments by the kernel; only these by a loop over scipy, which gets its costs for nothing.
+    """
+    rng = np.random.default_rng(1)
+    world = _map(rng)
+    landmarks, model = Landmarks.of(world, 0.7), PoleModel()
+    poses = rng.normal(0, [0.2, 0.2, 0.01], (1000, 3))
+    scan = _scan(0.0, world, np.zeros(3), rng)
+    costs = np.stack([-pair_gains(pose, scan, landmarks, model, _VIEW)[0] for pose in poses])
+    work: dict[str, Callable[[], object]] = {
+        "likelihood": lambda: pole_log_likelihood(poses, scan, landmarks, model, view=_VIEW),
+        "assignment": lambda: assign(costs, 0.0),
+        "assignment_scipy_loop": lambda: assign(costs, 0.0, backend="scipy"),
+    }
+    times: dict[str, list[float]] = {name: [] for name in work}
+    for _ in range(rounds):
+        for name, task in work.items():
+            begin = time.perf_counter()
+            task()
+            times[name].append(time.perf_counter() - begin)
+    return times
+
+
+def run() -> dict[str, dict[str, float]]:
+    """Median, p95 and p99 of the update and of the assignment, the latter as a ratio too."""
+    result = {
+        f"particle_filter.{name}": _figures(times) for name, times in assignment_times().items()
+    }
+    loop = result["particle_filter.assignment_scipy_loop"]["median_ms"]
+    for name in ("likelihood", "assignment"):
+        figures = result[f"particle_filter.{name}"]
+        figures["ratio_to_scipy_loop"] = figures["median_ms"] / loop
+    result["particle_filter.update_1000"] = _figures(update_times())
+    return result
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(), indent=2))
