@@ -287,7 +287,8 @@ class ParticleFilter:
         major, minor = position_sd(covariance)
         modes = modes_of(rear, weights, mean, covariance, config)
         pose, spread = mean, covariance
-        if config.estimate == "best_mode" and len(modes) > 1:
+        if config.estimate == "best_mode" and modes:
+            # also where the others are too light to count: they would still pull the mean
             pose, spread = modes[0].mean, modes[0].covariance
         fit = self._weigher.match(pose, scan, self._landmarks)
         self._lost.update(
