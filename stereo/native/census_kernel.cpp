@@ -66,6 +66,7 @@ struct Loops {
   decltype(&baseline::census_transform) census_transform;
   decltype(&baseline::first_pass) first_pass;
   decltype(&baseline::second_pass) second_pass;
+  decltype(&baseline::check_rows) check_rows;
 };
 
 std::vector<Loops> supported_loops() {
@@ -76,14 +77,14 @@ std::vector<Loops> supported_loops() {
       __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bitalg") &&
       __builtin_cpu_supports("avx512vpopcntdq") && __builtin_cpu_supports("avx512vbmi"))
     found.push_back({"avx512", avx512::smooth, avx512::census_transform, avx512::first_pass,
-                     avx512::second_pass});
+                     avx512::second_pass, avx512::check_rows});
   if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"))
     found.push_back({"avx2", avx2::smooth, avx2::census_transform, avx2::first_pass,
-                     avx2::second_pass});
+                     avx2::second_pass, avx2::check_rows});
 #endif
   found.push_back(
       {"baseline", baseline::smooth, baseline::census_transform, baseline::first_pass,
-                     baseline::second_pass});
+                     baseline::second_pass, baseline::check_rows});
   return found;
 }
 
@@ -235,24 +236,6 @@ void median_rows(const float* source, float* target, int width, int height, int 
   }
 }
 
-// Keeps what is unique and what the other view confirms to within `tolerance` (negative: no check).
-void check_rows(const float* own, const float* other, const u8* unique, float* out, int sign,
-                float tolerance, int width, int first, int last) {
-  for (int y = first; y < last; ++y) {
-    const std::size_t row = static_cast<std::size_t>(y) * width;
-    for (int x = 0; x < width; ++x) {
-      const float d = own[row + x];
-      bool keep = unique[row + x] != 0;
-      if (keep && tolerance >= 0) {
-        const int partner = x + sign * static_cast<int>(d + 0.5f);  // d is not negative
-        keep = partner >= 0 && partner < width &&
-               std::fabs(other[row + partner] - d) <= tolerance;
-      }
-      out[row + x] = keep ? d : __builtin_nanf("");
-    }
-  }
-}
-
 class CensusMatcher {
  public:
   CensusMatcher(const std::vector<std::array<int, 4>>& pairs, int bits, int smoothing, int disparities, int offset, int paths, bool own_right, int p1, int p2_min,
@@ -362,8 +345,8 @@ class CensusMatcher {
       run_together({[&] { smooth(0); }, [&] { smooth(1); }}, threads_ > 1);
     }
     const auto check = [&](int view) {
-      check_rows(raw[view], raw[1 - view], unique[view], out[view], view == 0 ? -1 : 1, tolerance_,
-                 width, 0, height);
+      loops_.check_rows(raw[view], raw[1 - view], unique[view], out[view], view == 0 ? -1 : 1,
+                        tolerance_, width, height);
     };
     run_together({[&] { check(0); }, [&] { check(1); }}, threads_ > 1);
   }

@@ -539,6 +539,35 @@ KERNEL_FN void second_pass(const Problem& p, const View& left, const View& right
   }
 }
 
+// One row of the left-right check, without branches: what fails is as good as random.
+KERNEL_INLINE void check_row(const float* __restrict own, const float* __restrict other,
+                             const u8* __restrict unique, int sign, float tolerance, int width,
+                             float* __restrict out) {
+  for (int x = 0; x < width; ++x) {
+    const float d = own[x];
+    const float known = d == d ? d : 0.0f;
+    const int partner = x + sign * static_cast<int>(known + 0.5f);  // d is not negative
+    const bool inside = (partner >= 0) & (partner < width);
+    const float difference = other[inside ? partner : x] - d;
+    const bool keep = (unique[x] != 0) & inside & (__builtin_fabsf(difference) <= tolerance);
+    out[x] = keep ? d : __builtin_nanf("");
+  }
+}
+
+// Keeps what is unique and what the other view confirms to within `tolerance` (negative: no check).
+KERNEL_FN void check_rows(const float* own, const float* other, const u8* unique, float* out,
+                          int sign, float tolerance, int width, int height) {
+  for (int y = 0; y < height; ++y) {
+    const std::size_t row = static_cast<std::size_t>(y) * width;
+    if (tolerance >= 0) {
+      check_row(own + row, other + row, unique + row, sign, tolerance, width, out + row);
+      continue;
+    }
+    for (int x = 0; x < width; ++x)
+      out[row + x] = unique[row + x] != 0 ? own[row + x] : __builtin_nanf("");
+  }
+}
+
 #undef KERNEL_FN
 #undef KERNEL_INLINE
 

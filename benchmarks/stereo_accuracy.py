@@ -1,0 +1,272 @@
+"""How right disparities are, on pairs with ground truth.
+
+    python -m benchmarks.stereo_accuracy FOLDER... [--curve] [--calibrate] [--every N]
+
+A FOLDER is a KITTI 2015 or 2012 `training` folder (or the one above it) or one with Middlebury
+scenes (teddy, cones: `*02.png`, `*06.png` and `disp*02.png`); without one the rendered poles are
+scored. OpenCV's variants stand beside the census matcher. `--curve` trades density against error
+by the margin of the winner, `--calibrate` prints the tables of stereo/error_model.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.stereo_scenes import PoleScore, rendered_scene, score_poles
+from stereo.config import OpenCvConfig, StereoConfig
+from stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
+from stereo.matching import StereoMatcher, make_matcher
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A pair with the true disparity of its left view, NaN where it is unknown."""
+
+    name: str
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    truth: NDArray[np.float32]
+    kitti: bool
+
+    def wrong(self, disparity: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Over 3 px and 5 % (KITTI) or over 1 px (Middlebury)."""
+        with np.errstate(invalid="ignore"):
+            error = np.abs(disparity - self.truth)
+            if self.kitti:
+                return np.asarray((error > 3) & (error > 0.05 * self.truth))
+            return np.asarray(error > 1)
+
+
+def _grey(path: Path) -> NDArray[np.uint8]:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise SystemExit(f"{path}: no image; pass a KITTI or Middlebury folder")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _truth(path: Path, scale: float) -> NDArray[np.float32]:
+    raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if raw is None:
+        raise SystemExit(f"{path}: no ground truth")
+    return np.where(raw > 0, raw / scale, np.nan).astype(np.float32)
+
+
+def read_pairs(folder: Path) -> Iterator[Pair]:
+    """The pairs of a KITTI or Middlebury folder."""
+    folder = folder / "training" if (folder / "training").is_dir() else folder
+    kitti = [
+        (left, right, truth)
+        for left, right, truth in (
+            ("image_2", "image_3", "disp_noc_0"),
+            ("image_0", "image_1", "disp_noc"),
+        )
+        if (folder / truth).is_dir()
+    ]
+    for left, right, truth in kitti[:1]:
+        for path in sorted((folder / truth).glob("*_10.png")):
+            yield Pair(
+                path.stem,
+                _grey(folder / left / path.name),
+                _grey(folder / right / path.name),
+                _truth(path, 256.0),
+                True,
+            )
+    if kitti:
+        return
+    for truth_path in sorted(folder.rglob("*disp*2.png")):
+        lefts = [p for p in truth_path.parent.glob("*2.png") if "disp" not in p.name]
+        rights = [p for p in truth_path.parent.glob("*6.png") if "disp" not in p.name]
+        stem = truth_path.stem.split("_")[0].split("-")[0]
+        left_path = next((p for p in lefts if stem in p.name), lefts[0] if lefts else None)
+        right_path = next((p for p in rights if stem in p.name), rights[0] if rights else None)
+        if left_path is None or right_path is None:
+            continue
+        name = truth_path.parent.name if stem.startswith("disp") else stem
+        truth_map = _truth(truth_path, 4.0)
+        yield Pair(name, _grey(left_path), _grey(right_path), truth_map, False)
+
+
+def variants(disparities: int = 128) -> dict[str, StereoConfig]:
+    """The census matcher's main settings, and OpenCV behind every preprocessing."""
+    found = {
+        "census": StereoConfig(disparities=disparities),
+        "census shared": StereoConfig(disparities=disparities, right_map="shared"),
+        "census 4 paths": StereoConfig(disparities=disparities, paths=4),
+    }
+    base: dict[str, Any] = {"matcher": "opencv_sgbm", "disparities": disparities}
+    settings: list[dict[str, Any]] = [
+        {"preprocessing": "none", "block_size_px": 5, "p1": 16, "p2": 64},
+        {"preprocessing": "none", "block_size_px": 3, "p1": 8, "p2": 32},
+        {"preprocessing": "clahe", "block_size_px": 3, "p1": 24, "p2": 96},
+        {"preprocessing": "clahe", "block_size_px": 3, "p1": 8, "p2": 32},
+        {"preprocessing": "rank7x7", "block_size_px": 3, "p1": 24, "p2": 96},
+        {"preprocessing": "partial_ranks", "block_size_px": 3, "p1": 24, "p2": 96},
+        {"preprocessing": "census_bytes", "block_size_px": 3, "p1": 24, "p2": 96},
+    ]
+    for options in settings:
+        name = f"opencv 3way {options['preprocessing']} {options['block_size_px']} {options['p1']}"
+        found[name] = StereoConfig(**base, opencv=OpenCvConfig(**options))
+    for mode in ("sgbm", "hh"):
+        options = {**settings[0], "mode": mode}
+        found[f"opencv {mode} none 5 16"] = StereoConfig(**base, opencv=OpenCvConfig(**options))
+    return found
+
+
+def score(matcher: StereoMatcher, pairs: list[Pair]) -> dict[str, float]:
+    """Error and density over all pairs (each valid pixel counts once)."""
+    wrong = known = valid = 0
+    times = []
+    for pair in pairs:
+        start = time.perf_counter()
+        disparity = matcher.match(pair.left, pair.right).left
+        times.append(1e3 * (time.perf_counter() - start))
+        truth = np.isfinite(pair.truth)
+        found = truth & np.isfinite(disparity)
+        wrong += int((pair.wrong(disparity) & found).sum())
+        known += int(found.sum())
+        valid += int(truth.sum())
+    return {
+        "error_percent": 100 * wrong / max(known, 1),
+        "density_percent": 100 * known / max(valid, 1),
+        "median_ms": float(np.median(times)),
+    }
+
+
+def curve(matcher: StereoMatcher, pairs: list[Pair]) -> list[tuple[float, float]]:
+    """`(density, error)` in percent as the smallest margin of the winner rises.
+
+    Raises:
+        SystemExit: a matcher without margins.
+    """
+    margins, wrongs, valid = [], [], 0
+    for pair in pairs:
+        maps = matcher.match(pair.left, pair.right)
+        if maps.left_margin is None:
+            raise SystemExit(f"{matcher.name} has no margins to draw a curve by")
+        truth = np.isfinite(pair.truth)
+        found = truth & np.isfinite(maps.left)
+        margins.append(maps.left_margin[found])
+        wrongs.append(pair.wrong(maps.left)[found])
+        valid += int(truth.sum())
+    margin, wrong = np.concatenate(margins), np.concatenate(wrongs)
+    rows = []
+    for limit in (0, 5, 10, 20, 30, 45, 60, 80):
+        keep = margin >= limit
+        rows.append((100 * keep.sum() / valid, 100 * wrong[keep].mean()))
+    return rows
+
+
+def calibrate(matcher: StereoMatcher, pairs: list[Pair]) -> DisparityErrorModel:
+    """The tables of the error model from the pairs, on the grids of the model in use."""
+    model = DisparityErrorModel()
+    greys, margins, errors = [], [], []
+    for pair in pairs:
+        maps = matcher.match(pair.left, pair.right)
+        found = np.isfinite(pair.truth) & np.isfinite(maps.left)
+        greys.append(texture(pair.left)[found])
+        assert maps.left_margin is not None
+        margins.append(maps.left_margin[found])
+        errors.append(np.abs(maps.left - pair.truth)[found])
+    grey, margin, error = map(np.concatenate, (greys, margins, errors))
+    rows = np.digitize(grey, np.sqrt(model.texture_grid[1:] * model.texture_grid[:-1]))
+    columns = np.digitize(margin, (model.margin_grid[1:] + model.margin_grid[:-1]) / 2)
+    sd, outliers = model.sd_px_table.copy(), model.outlier_table.copy()
+    for i in range(sd.shape[0]):
+        for j in range(sd.shape[1]):
+            cell = error[(rows == i) & (columns == j)]
+            if len(cell) > 200:
+                sd[i, j] = np.sqrt(np.mean(cell[cell < OUTLIER_PX] ** 2))
+                outliers[i, j] = np.mean(cell >= OUTLIER_PX)
+    return DisparityErrorModel(model.texture_grid, model.margin_grid, sd, outliers)
+
+
+def score_rendered(config: StereoConfig, seeds: range, **scene: float) -> dict[str, float]:
+    """Poles of `benchmarks/stereo_scenes.py`, both views."""
+    matcher = make_matcher(config)
+    sums = [PoleScore(), PoleScore()]
+    wrong = known = 0
+    for seed in seeds:
+        pair = rendered_scene(seed, **scene)  # type: ignore[arg-type]
+        maps = matcher.match(pair.left, pair.right)
+        for side, disparity in enumerate((maps.left, maps.right)):
+            sums[side] = sums[side] + score_poles(pair, disparity, side)
+            found = np.isfinite(disparity)
+            known += int(found.sum())
+            wrong += int((np.abs(disparity - pair.views[side].disparity_px) > 1)[found].sum())
+    row = {"error_percent": 100 * wrong / known}
+    for side, total in zip(("left", "right"), sums, strict=True):
+        row[f"{side}_recall"] = total.recall
+        row[f"{side}_thin_recall"] = total.thin_recall
+        row[f"{side}_fattening_px"] = total.fattening_px
+    return row
+
+
+def _show(name: str, row: dict[str, float]) -> None:
+    print(f"{name:32s}" + "  ".join(f"{key} {value:.3f}" for key, value in row.items()), flush=True)
+
+
+def run() -> dict[str, dict[str, float]]:
+    """For `python -m benchmarks`: the default matcher and OpenCV's on what this machine has."""
+    results = {}
+    chosen = {name: config for name, config in variants().items() if name.startswith("census")}
+    chosen["opencv 3way none 5 16"] = variants()["opencv 3way none 5 16"]
+    for folder in ("kitti_2015", "middlebury"):
+        pairs = list(read_pairs(SHARED / folder)) if (SHARED / folder).exists() else []
+        for name, config in chosen.items() if pairs else ():
+            results[f"{folder} {name}"] = score(make_matcher(config), pairs)
+    for name, config in chosen.items():
+        small = config.model_copy(update={"disparities": 64})
+        results[f"rendered poles {name}"] = score_rendered(small, range(4))
+    return results
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--curve", action="store_true")
+    parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--every", type=int, default=1, help="only every Nth pair")
+    options = parser.parse_args()
+    np.set_printoptions(precision=2, suppress=True, linewidth=140)
+    for folder in options.folders:
+        pairs = list(read_pairs(folder))[:: options.every]
+        if not pairs:
+            raise SystemExit(f"{folder}: neither KITTI nor Middlebury pairs with ground truth")
+        if options.calibrate:
+            model = calibrate(make_matcher(StereoConfig()), pairs)
+            print(model.sd_px_table, model.outlier_table, sep="\n")
+            continue
+        for name, config in variants().items():
+            matcher = make_matcher(config)
+            _show(f"{folder.name} {name}", score(matcher, pairs))
+            if options.curve and matcher.name == "census_sgm":
+                for density, error in curve(matcher, pairs):
+                    print(f"    density {density:5.1f} %  error {error:5.2f} %")
+    if options.folders:
+        return
+    for name, config in variants(64).items():
+        _show(f"poles {name}", score_rendered(config, range(4)))
+    default = StereoConfig(disparities=64)
+    for change in ({}, {"gain": 0.7}, {"gamma": 1.3}, {"vignetting": 0.4}, {"noise_sd": 4.0}):
+        _show(f"poles {change or 'as they are'}", score_rendered(default, range(4), **change))
+    for bits in (12, 16):
+        config = StereoConfig(disparities=64, uint16_bits=bits)
+        _show(f"poles {bits} bit", score_rendered(config, range(4), bits=bits))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""How long a pair takes: `python -m benchmarks.stereo_speed [LEFT RIGHT] [--runs N]`.
+
+Both disparity maps with all checks at 768x480, two threads, every instruction set of this machine
+beside OpenCV's StereoSGBM (both views in two threads), interleaved in one run. Without images a
+rendered pair is matched; the time hardly depends on the content.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from importlib import import_module
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.stereo_scenes import rendered_scene
+from stereo.config import OpenCvConfig, StereoConfig
+from stereo.matching import Image, StereoMatcher, make_matcher
+
+SIZE_PX = (768, 480)
+
+
+def matchers() -> dict[str, tuple[StereoMatcher, int]]:
+    """Every variant that is measured, and its number of disparities."""
+    found: dict[str, tuple[StereoMatcher, int]] = {}
+    for disparities in (64, 128):
+        for kind in import_module("stereo.native.census_kernel").instruction_sets():
+            for paths, right in ((8, "shared"), (4, "own"), (8, "own")):
+                config = StereoConfig(
+                    disparities=disparities, paths=paths, right_map=right, instruction_set=kind
+                )
+                name = f"census_{kind}_{paths}paths_{right}_{disparities}"
+                found[name] = make_matcher(config), disparities
+        for mode in ("sgbm", "3way"):
+            config = StereoConfig(
+                matcher="opencv_sgbm",
+                disparities=disparities,
+                opencv=OpenCvConfig(mode=mode, preprocessing="none"),
+            )
+            found[f"opencv_{mode}_{disparities}"] = make_matcher(config), disparities
+    return found
+
+
+def measure(left: Image, right: Image, runs: int) -> dict[str, dict[str, float]]:
+    """Medians over interleaved runs, and the ratio of OpenCV's StereoSGBM to each."""
+    cv2.setNumThreads(1)  # one thread for each view, as the matcher starts them
+    variants = matchers()
+    times: dict[str, list[float]] = {name: [] for name in variants}
+    for run_number in range(runs + 1):
+        for name, (matcher, _) in variants.items():
+            start = time.perf_counter()
+            matcher.match(left, right)
+            if run_number:  # the first run allocates
+                times[name].append(1e3 * (time.perf_counter() - start))
+    medians = {name: float(np.median(values)) for name, values in times.items()}
+    return {
+        f"stereo_{name}": {
+            "median_ms": medians[name],
+            "p95_ms": float(np.percentile(values, 95)),
+            "min_ms": min(values),
+            "opencv_sgbm_over_this": medians[f"opencv_sgbm_{variants[name][1]}"] / medians[name],
+        }
+        for name, values in times.items()
+    }
+
+
+def run() -> dict[str, dict[str, float]]:
+    """For `python -m benchmarks`."""
+    scene = rendered_scene(1)
+    return measure(scene.left, scene.right, 9)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("images", nargs="*", type=Path, help="LEFT RIGHT, resized to 768x480")
+    parser.add_argument("--runs", type=int, default=9)
+    options = parser.parse_args()
+    if options.images:
+        left, right = (cv2.resize(cv2.imread(str(path), 0), SIZE_PX) for path in options.images)
+    else:
+        scene = rendered_scene(1)
+        left, right = scene.left, scene.right
+    for name, row in measure(left, right, options.runs).items():
+        print(f"{name:42s}" + "  ".join(f"{key} {value:8.2f}" for key, value in row.items()))
+
+
+if __name__ == "__main__":
+    main()
