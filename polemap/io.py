@@ -182,7 +182,10 @@ def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
 
 
 def _write_parquet(pole_map: PoleMap, path: Path) -> None:
-    pyarrow.parquet.write_table(geoparquet.to_table(pole_map), path, compression="zstd")
+    table = geoparquet.to_table(pole_map)
+    texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
+    # dictionaries of numbers that are all different only cost time, as does a strong compression
+    pyarrow.parquet.write_table(table, path, compression="snappy", use_dictionary=texts)
 
 
 def _read_parquet(path: Path, frame: EarthFrame | None) -> PoleMap:

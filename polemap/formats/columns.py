@@ -58,7 +58,7 @@ def from_columns(
     n = len(points_m)
     numbers = {name: _column(columns, name, n) for name in KNOWN}
     ids = numbers["id"]
-    if ids is not None and len(np.unique(ids)) < n:
+    if ids is not None and not _all_different(ids):
         raise InputError("pole map: the ids are not unique")
     covariance, assumed = _covariance(numbers, n)
     if assumed and n:
@@ -67,30 +67,40 @@ def from_columns(
     existence = _default(numbers["existence"], np.full(n, DEFAULT_EXISTENCE))
     return PoleMap(
         frame=frame,
-        ids=np.arange(n, dtype=np.int64) if ids is None else ids.astype(np.int64),
-        points_m=np.array(points_m, dtype=np.float64).reshape(-1, 2),
+        ids=np.arange(n, dtype=np.int64) if ids is None else ids,
+        points_m=np.asarray(points_m, dtype=np.float64).reshape(-1, 2),
         covariance_m2=covariance,
         width_m=_default(numbers["width_m"], unknown),
         height_m=_default(numbers["height_m"], unknown.copy()),
-        observations=_default(numbers["observations"], np.zeros(n)).astype(np.int64),
-        drives=_default(numbers["drives"], np.zeros(n)).astype(np.int64),
+        observations=_default(numbers["observations"], np.zeros(n, dtype=np.int64)),
+        drives=_default(numbers["drives"], np.zeros(n, dtype=np.int64)),
         existence=np.where(np.isnan(existence), DEFAULT_EXISTENCE, existence),
         extra=dict(extra or {}),
         notes=notes,
     )
 
 
+def _all_different(ids: NDArray[Any]) -> bool:
+    """Whether no id stands twice; maps of ours are sorted by id, which needs no sorting."""
+    step = np.diff(ids)
+    if bool((step > 0).all()):
+        return True
+    return bool((np.diff(np.sort(ids)) > 0).all())
+
+
 def _column(columns: Mapping[str, NDArray[Any]], name: str, n: int) -> NDArray[Any] | None:
     if name not in columns:
         return None
+    raw = np.asarray(columns[name])
+    if name in _WHOLE and raw.dtype.kind in "iu" and len(raw) == n:
+        return raw.astype(np.int64, copy=False)
     try:
-        values = np.asarray(columns[name], dtype=np.float64)
+        values = np.asarray(raw, dtype=np.float64)
         if name in _WHOLE:
             values = np.where(np.isfinite(values), values, 0.0 if name != "id" else np.nan)
             if name == "id" and not np.isfinite(values).all():
                 return None
-            raw = np.asarray(columns[name])
-            return raw.astype(np.int64) if raw.dtype.kind in "iu" else values.astype(np.int64)
+            return values.astype(np.int64)
     except (TypeError, ValueError) as error:
         raise InputError(f"pole map: column {name} does not hold numbers ({error})") from error
     if len(values) != n:
@@ -104,7 +114,8 @@ def _default(values: NDArray[Any] | None, default: NDArray[Any]) -> NDArray[Any]
 
 def _covariance(numbers: Mapping[str, NDArray[Any] | None], n: int) -> tuple[Floats, int]:
     """Covariances `(n, 2, 2)`, and how many of them had to be assumed."""
-    covariance = np.tile(np.eye(2) * DEFAULT_SD_M**2, (n, 1, 1))
+    covariance = np.zeros((n, 2, 2))
+    covariance[:, 0, 0] = covariance[:, 1, 1] = DEFAULT_SD_M**2
     east, north = numbers["var_east_m2"], numbers["var_north_m2"]
     if east is None or north is None:
         return covariance, n
@@ -117,6 +128,10 @@ def _covariance(numbers: Mapping[str, NDArray[Any] | None], n: int) -> tuple[Flo
             f"pole map: row {row}: covariance {east[row]}, {north[row]}, {cross[row]} is not "
             "positive definite"
         )
+    if given.all():
+        covariance[:, 0, 0], covariance[:, 1, 1] = east, north
+        covariance[:, 0, 1] = covariance[:, 1, 0] = cross
+        return covariance, 0
     covariance[given, 0, 0], covariance[given, 1, 1] = east[given], north[given]
     covariance[given, 0, 1] = covariance[given, 1, 0] = cross[given]
     return covariance, int(n - np.count_nonzero(given))

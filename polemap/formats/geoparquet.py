@@ -129,9 +129,9 @@ def _points(column: pa.ChunkedArray) -> Floats:
 
 def _numpy(column: pa.ChunkedArray) -> NDArray[Any] | None:
     if pa.types.is_integer(column.type) and not column.null_count:
-        return np.array(column.to_numpy())
+        return np.asarray(column.to_numpy())
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-        return np.array(column.to_numpy()).astype(np.float64)
+        return np.asarray(column.to_numpy(), dtype=np.float64)
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
         return np.array([value or "" for value in column.to_pylist()], dtype=np.str_)
     return None
