@@ -212,7 +212,8 @@ def _identify(signals: SignalLog, car: Car, span: str, log: Path, vehicle: str, 
         raise ConfigError(f"--out {out}: --identify writes a car, name it NAME.yaml")
     source = (
         f"polemap estimate {log.name} --identify {span} --vehicle {vehicle}: stiffness, yaw "
-        f"inertia, steering offset and side-slip point fitted; the rest from {vehicle} ({car.source})"
+        "inertia, steering offset and side-slip point fitted; the rest from "
+        f"{vehicle} ({car.source})"
     )
     fit = identify(_cut(signals, span, "--identify"), car, name=out.stem, source=source)
     with atomic_file(out) as part:

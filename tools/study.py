@@ -9,7 +9,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drivelog.atomic import atomic_file, atomic_folder
@@ -89,4 +88,4 @@ def write_study(study: Study, folder: Path) -> None:
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
     with atomic_file(folder / f"{study.name}.png") as part:
-        FigureCanvasAgg(figure).print_png(str(part))
+        figure.savefig(str(part), dpi=110)

@@ -33,10 +33,11 @@ class Fit:
 def identify(log: SignalLog, car: Car, *, name: str, source: str) -> Fit:
     """Fit tyre stiffness, yaw inertia, steering offset and the reference's place.
 
-    Mass, wheelbase and weight split stay as they are in `car`: steering and side-slip see stiffness and inertia
-    only in proportion to the mass, and the split only together with the reference's place. The model runs freely from steering and speed over the whole
-    log (output error), so that noise of the measured states does not bias the fit; a robust loss
-    bears wild values.
+    Mass, wheelbase and weight split stay as they are in `car`: steering and side-slip see
+    stiffness and inertia only in proportion to the mass, and the split only together with the
+    reference's place. The model runs freely from steering and speed over the whole log (output
+    error), so that noise of the measured states does not bias the fit; a robust loss bears wild
+    values.
 
     Raises:
         VehicleError: a column that is needed is missing, too few rows, or a car that hardly turns.

@@ -150,6 +150,8 @@ class OutputBridge:
         self, stamp_s: float, fields: tuple[str, ...], mean: Floats, covariance: Floats
     ) -> Estimate:
         """The estimate with the bridge in it."""
+        if stamp_s - self._since_s > 20.0 * self._time_s:
+            return Estimate(stamp_s, fields, mean, np.sqrt(covariance.diagonal()))
         offset = self.offset(stamp_s)
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return Estimate(stamp_s, fields, mean + offset, sd + np.abs(offset))

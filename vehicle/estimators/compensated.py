@@ -113,6 +113,8 @@ class CompensatedKalman:
         row = self._rows[index]
         if elapsed != self._config.step_s or speed < LOWEST_MPS:
             row = self._exact(inputs, elapsed, row)
+        if self._loose is not None:
+            row = (*row[:17], *self._loosen(stamp_s))
         self._row, self._inputs = row, inputs
         (g00, g01, g10, g11, g20, g21, g30, g31, g32, d0, d1, d2, d3, n0, n1, n2, n3) = row[:17]
         (_, k01, k02, _, k11, k12, _, k21, k22, _, k31, k32) = row[17:]
@@ -134,8 +136,8 @@ class CompensatedKalman:
         self._er = e1 - k10 * e1 - k11 * e2 - k12 * e3
         self._eh = e2 - k20 * e1 - k21 * e2 - k22 * e3
         self._ey = e3 - k30 * e1 - k31 * e2 - k32 * e3
-        if self._loose is not None or stamp_s - self._heard_s > 3.0 * self._config.camera_period_s:
-            self._loosen(stamp_s)
+        if self._loose is None and stamp_s - self._heard_s > 3.0 * self._config.camera_period_s:
+            self._loose = self.covariance()
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == YAW_RATE:
@@ -186,22 +188,26 @@ class CompensatedKalman:
         numbers = [*g[0, :2], *g[1, :2], *g[2, :2], *g[3, :3], *h[:, 0], *h[:, 1]]
         return (*(float(v) for v in numbers), *row[17:])
 
-    def _loosen(self, stamp_s: float) -> None:
-        """Covariance where it is not steady: the start, an outage and the time after one."""
+    def _loosen(self, stamp_s: float) -> list[float]:
+        """Where the filter is not steady (the start, an outage and the time after one): its gain.
+
+        The same Riccati recursion, stepped instead of solved, with the camera's columns off
+        while no pictures come.
+        """
         config, steady = self._config, self._covariances[self._index].reshape(4, 4)
-        p = steady if self._loose is None else self._loose
-        g, _, q = self._schedule.at(self._inputs.speed_mps)
-        gain = np.array(self._row[17:]).reshape(4, 3)
+        silent = stamp_s - self._heard_s > 3.0 * config.camera_period_s
+        rows = ALL_ROWS[:1] if silent else ALL_ROWS
         frames = max(1.0, round(config.camera_period_s / config.step_s))
         sds = np.array([config.gyro_sd_radps, config.heading_sd_rad, config.lateral_offset_sd_m])
-        variances = sds**2 * (1.0, frames, frames)
-        silent = stamp_s - self._heard_s > 3.0 * config.camera_period_s
-        if silent:
-            gain = gain * (1.0, 0.0, 0.0)
-        keep = np.eye(4) - gain @ ALL_ROWS
-        p = symmetric(keep @ (g @ p @ g.T + q) @ keep.T + (gain * variances) @ gain.T)
+        noise = np.diag((sds**2 * (1.0, frames, frames))[: len(rows)])
+        g, _, q = self._schedule.at(self._inputs.speed_mps)
+        prior = g @ self._loose @ g.T + q
+        gain = np.zeros((4, 3))
+        gain[:, : len(rows)] = np.linalg.solve(rows @ prior @ rows.T + noise, rows @ prior).T
+        p = symmetric(prior - gain[:, : len(rows)] @ rows @ prior)
         near = bool(np.all(np.diag(p) <= 1.02 * np.diag(steady)))
         self._loose = None if near and not silent else p
+        return [float(v) for v in gain.ravel()]
 
     def estimate(self) -> Estimate:
         mean = self._state()

@@ -76,7 +76,10 @@ ESTIMATORS: dict[str, Entry] = {
         (CAMERA,),
     ),
     "reconstruction": Entry(
-        "its exact form (Larsen)", (YAW_RATE, CAMERA), ReconstructionKalman, (CAMERA,)
+        "gain of the capture carried to now (Larsen)",
+        (YAW_RATE, CAMERA),
+        ReconstructionKalman,
+        (CAMERA,),
     ),
     "clones": Entry("exact for late pictures, clones", (YAW_RATE, CAMERA), CloneKalman, (CAMERA,)),
     "replay": Entry("exact for late pictures, replay", (YAW_RATE, CAMERA), ReplayKalman, (CAMERA,)),

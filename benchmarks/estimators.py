@@ -1,0 +1,66 @@
+"""A 1 ms step of the side-slip estimators from Python: speed varies, gyro in every step."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from vehicle.config import EstimatorConfig
+from vehicle.estimators.base import CAMERA, YAW_RATE, Estimator, Inputs
+from vehicle.estimators.registry import make_estimator
+from vehicle.io import load_car
+from vehicle.signals import play
+from vehicle.studies.scenes import Scene, drive_with_camera
+
+STEPS, WARM, FRAME, DELAY = 30_000, 2_000, 33, 33
+LOG_S = 60.0
+NAMES = ("clones", "compensated", "bicycle", "uneven_delay")
+
+
+def run() -> dict[str, dict[str, float]]:
+    """Median and tails of a step (predict, yaw rate, pictures when due), and a log's pace."""
+    car, config = load_car("coms"), EstimatorConfig()
+    times = {name: _steps(make_estimator(name, car, config)) for name in NAMES}
+    reference = float(np.median(times["clones"]))
+    result = {}
+    for name, each in times.items():
+        median, p95, p99 = np.percentile(each, [50, 95, 99])
+        result[f"estimator_step_{name}"] = {
+            "median_ms": median,
+            "p95_ms": p95,
+            "p99_ms": p99,
+            "ratio_to_clones": median / reference,
+        }
+    drive = drive_with_camera(car, Scene(7.0, LOG_S), config, np.random.default_rng(0))
+    begin = time.perf_counter()
+    play(make_estimator("clones", car, config), drive.log)
+    spent = time.perf_counter() - begin
+    result["estimator_log_1khz_clones"] = {
+        "median_ms": spent / LOG_S * 550.0 * 1e3,
+        "log_s": 550.0,
+        "real_time_factor": LOG_S / spent,
+    }
+    return result
+
+
+def _steps(estimator: Estimator) -> np.ndarray:
+    """Milliseconds of each step, arrivals and captures included."""
+    rng = np.random.default_rng(0)
+    speeds = 8.0 + 4.0 * np.sin(np.arange(STEPS) * 2e-4)
+    inputs = [Inputs(0.05, v) for v in speeds.tolist()]
+    gyro = (0.1 + 0.003 * rng.standard_normal(STEPS)).tolist()
+    spent = np.zeros(STEPS)
+    step, measure, capture = estimator.step, estimator.measure, estimator.capture
+    clock = time.perf_counter
+    for k in range(STEPS):
+        stamp = k * 0.001
+        begin = clock()
+        step(stamp, inputs[k])
+        measure(YAW_RATE, gyro[k], stamp, stamp)
+        if k % FRAME == 0 and k >= FRAME:
+            measure(CAMERA, (0.0, 0.0), (k - DELAY) * 0.001, stamp)
+        if k % FRAME == 0:
+            capture(CAMERA, stamp)
+        spent[k] = clock() - begin
+    return spent[WARM:] * 1e3
