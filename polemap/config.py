@@ -18,7 +18,7 @@ class DetectionConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     model: str = Field("default", description="Built-in classifier name, or a path to its JSON.")
-    row_step_px: int = Field(2, ge=1, le=8, description="Every n-th image row is looked at.")
+    row_step_px: int = Field(3, ge=1, le=8, description="Every n-th image row is looked at.")
     range_min_m: float = Field(3.0, gt=0.0)
     range_max_m: float = Field(25.0, gt=0.0, le=100.0)
     step_min_px: float = Field(0.8, gt=0.0, description="Smallest disparity jump of a depth edge.")

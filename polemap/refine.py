@@ -27,6 +27,7 @@ _SWEEPS = 4
 _REACH_PX = 1.6  # farther from the matcher's value the fit is not believed
 _STEP_PX = 0.8
 _CORRELATION_MIN = 0.7
+_QUANTISATION_GREY = 0.29  # of whole grey levels: no picture is more exact
 _NEIGHBOURS = 6.0  # so many samples share an error: blur, and columns taken twice
 
 
@@ -99,12 +100,13 @@ def refine_disparity(
         weighted = design * weight[:, :, None]
         normal = np.swapaxes(weighted, 1, 2) @ design
         scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-        normal = normal + 1e-9 * scale * np.eye(3)
+        # a stem whose partner lies outside the right image has no equation at all
+        normal = normal + (1e-9 * scale + 1e-12) * np.eye(3)
         step = np.linalg.solve(normal, (weighted * residual[:, :, None]).sum(axis=1)[:, :, None])
         shift = shift + np.clip(step[:, 0, 0], -_STEP_PX, _STEP_PX)
         gain, offset = gain + step[:, 1, 0], offset + step[:, 2, 0]
         total = np.maximum(weight.sum(axis=1), 1.0)
-        noise = np.sqrt((weight * residual**2).sum(axis=1) / total)
+        noise = np.sqrt((weight * residual**2).sum(axis=1) / total + _QUANTISATION_GREY**2)
         curvature = 1.0 / np.maximum(np.linalg.inv(normal)[:, 0, 0], 1e-12)
     mean = (weight * grey).sum(axis=1) / total
     variance = (weight * (grey - mean[:, None]) ** 2).sum(axis=1) / total

@@ -82,8 +82,11 @@ def _upright_median(disparity: Floats, step: int) -> Floats:
     upper, here, lower = thin[:-2], thin[1:-1], thin[2:]
     median = thin.copy()
     if len(thin) > 2:
-        most = cv2.min(cv2.max(upper, here), lower)
-        median[1:-1] = cv2.max(cv2.min(upper, here), most)
+        # fresh arrays of this size cost as much as the arithmetic: results go where they can
+        most = cv2.max(upper, here)
+        cv2.min(most, lower, dst=most)
+        cv2.min(upper, here, dst=median[1:-1])
+        cv2.max(median[1:-1], most, dst=median[1:-1])
     return median
 
 
