@@ -44,16 +44,17 @@ class Penalties(BaseModel):
 class OpenCvConfig(BaseModel):
     """OpenCV's StereoSGBM and what is put in front of it.
 
-    `p1` and `p2` are per squared block pixel and channel, as OpenCV's own examples give them.
+    `p1` and `p2` are per squared block pixel and channel, as OpenCV's own examples give them. Of the
+    measured preprocessings CLAHE keeps most poles; ranks and census bytes lose a third of them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     mode: Literal["sgbm", "3way", "hh", "hh4"] = "3way"
-    preprocessing: Preprocessing = "partial_ranks"
+    preprocessing: Preprocessing = "clahe"
     block_size_px: int = Field(default=3, ge=1, le=11)
-    p1: int = Field(default=24, ge=1)
-    p2: int = Field(default=96, ge=2)
+    p1: int = Field(default=8, ge=1)
+    p2: int = Field(default=32, ge=2)
 
 
 class StereoConfig(BaseModel):
