@@ -44,8 +44,8 @@ class Penalties(BaseModel):
 class OpenCvConfig(BaseModel):
     """OpenCV's StereoSGBM and what is put in front of it.
 
-    `p1` and `p2` are per squared block pixel and channel, as OpenCV's own examples give them. Of the
-    measured preprocessings CLAHE keeps most poles; ranks and census bytes lose a third of them.
+    `p1` and `p2` are per squared block pixel and channel, as OpenCV's own examples give them. Of
+    what was measured, CLAHE keeps most poles; ranks and census bytes lose more thin ones.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
