@@ -10,6 +10,8 @@ from vehicle.config import EstimatorConfig
 from vehicle.estimators.base import CAMERA, YAW_RATE, Estimator, Inputs
 from vehicle.estimators.registry import make_estimator
 from vehicle.io import load_car
+from vehicle.lane import LaneFinder
+from vehicle.road_plane import RoadCamera
 from vehicle.signals import play
 from vehicle.studies.scenes import Scene, drive_with_camera
 
@@ -27,11 +29,12 @@ def run() -> dict[str, dict[str, float]]:
     for name, each in times.items():
         median, p95, p99 = np.percentile(each, [50, 95, 99])
         result[f"estimator_step_{name}"] = {
-            "median_ms": median,
-            "p95_ms": p95,
-            "p99_ms": p99,
-            "ratio_to_clones": median / reference,
+            "median_ms": float(median),
+            "p95_ms": float(p95),
+            "p99_ms": float(p99),
+            "ratio_to_clones": float(median) / reference,
         }
+    result["lane_frame_640x480"] = _lane()
     drive = drive_with_camera(car, Scene(7.0, LOG_S), config, np.random.default_rng(0))
     begin = time.perf_counter()
     play(make_estimator("clones", car, config), drive.log)
@@ -42,6 +45,24 @@ def run() -> dict[str, dict[str, float]]:
         "real_time_factor": LOG_S / spent,
     }
     return result
+
+
+def _lane() -> dict[str, float]:
+    """One frame of the lane finder on a drawn road with noise and two lines."""
+    camera = RoadCamera.from_focal(640, 480, 600.0, 1.3, 0.08)
+    rows, columns = np.indices((480, 640))
+    road = camera.pixel_to_road(np.stack([rows, columns], axis=-1))
+    painted = np.abs(np.abs(road[..., 1]) - 1.75) < 0.075
+    rng = np.random.default_rng(0)
+    image = np.where(painted, 180.0, 90.0) + 5.0 * rng.standard_normal((480, 640))
+    grey = np.clip(image, 0, 255).astype(np.uint8)
+    finder, spent = LaneFinder(camera, rng=rng), []
+    for _ in range(100):
+        begin = time.perf_counter()
+        finder.find(grey, 0.0, 0.0)
+        spent.append((time.perf_counter() - begin) * 1e3)
+    median, p95 = np.percentile(spent, [50, 95])
+    return {"median_ms": float(median), "p95_ms": float(p95)}
 
 
 def _steps(estimator: Estimator) -> np.ndarray:

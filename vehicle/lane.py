@@ -25,6 +25,7 @@ class LaneSettings:
     response_sds: float = 3.0
     least_response: float = 1.5
     tolerance_m: float = 0.12
+    scatter_limit_m: float = 0.07  # chance points fill the tolerance evenly: 0.1 m
     trials: int = 150
     least_points: int = 30
     least_span_m: float = 6.0
@@ -203,7 +204,7 @@ class LaneFinder:
         wide = np.zeros((3, 3))
         size = len(chosen)
         wide[:size, :size] = covariance * len(x) / independent
-        if (curve_rms if bent else line_rms) > s.tolerance_m:
+        if (curve_rms if bent else line_rms) > s.scatter_limit_m:
             return None
         quadratic = float(chosen[2]) if bent else 0.0
         return Marking(float(chosen[0]), float(chosen[1]), quadratic, wide, points)

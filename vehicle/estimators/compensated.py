@@ -114,7 +114,7 @@ class CompensatedKalman:
         if elapsed != self._config.step_s or speed < LOWEST_MPS:
             row = self._exact(inputs, elapsed, row)
         if self._loose is not None:
-            row = (*row[:17], *self._loosen(stamp_s))
+            row = (*row[:17], *self._loosen(self._loose, stamp_s))
         self._row, self._inputs = row, inputs
         (g00, g01, g10, g11, g20, g21, g30, g31, g32, d0, d1, d2, d3, n0, n1, n2, n3) = row[:17]
         (_, k01, k02, _, k11, k12, _, k21, k22, _, k31, k32) = row[17:]
@@ -188,7 +188,7 @@ class CompensatedKalman:
         numbers = [*g[0, :2], *g[1, :2], *g[2, :2], *g[3, :3], *h[:, 0], *h[:, 1]]
         return (*(float(v) for v in numbers), *row[17:])
 
-    def _loosen(self, stamp_s: float) -> list[float]:
+    def _loosen(self, loose: Floats, stamp_s: float) -> list[float]:
         """Where the filter is not steady (the start, an outage and the time after one): its gain.
 
         The same Riccati recursion, stepped instead of solved, with the camera's columns off
@@ -201,11 +201,12 @@ class CompensatedKalman:
         sds = np.array([config.gyro_sd_radps, config.heading_sd_rad, config.lateral_offset_sd_m])
         noise = np.diag((sds**2 * (1.0, frames, frames))[: len(rows)])
         g, _, q = self._schedule.at(self._inputs.speed_mps)
-        prior = g @ self._loose @ g.T + q
+        prior = g @ loose @ g.T + q
         gain = np.zeros((4, 3))
         gain[:, : len(rows)] = np.linalg.solve(rows @ prior @ rows.T + noise, rows @ prior).T
         p = symmetric(prior - gain[:, : len(rows)] @ rows @ prior)
-        near = bool(np.all(np.diag(p) <= 1.02 * np.diag(steady)))
+        # the heading sharpens without end where its model is noise-free: it need not be waited for
+        near = bool(np.all((np.diag(p) <= 1.02 * np.diag(steady))[[0, 1, 3]]))
         self._loose = None if near and not silent else p
         return [float(v) for v in gain.ravel()]
 

@@ -1,0 +1,147 @@
+"""`polemap estimate` on small logs, its formats and its complaints, and on the real racing car."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tools.cli import run
+from vehicle.config import EstimatorConfig
+from vehicle.io import load_car
+from vehicle.studies.scenes import Scene, drive_with_camera
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    config = EstimatorConfig(step_s=0.003)
+    scene = Scene(7.0, 4.0, 0.05, 0.5, model_noise=False)
+    drive = drive_with_camera(load_car("coms"), scene, config, np.random.default_rng(0))
+    table = pd.DataFrame({"stamp_s": drive.log.stamp_s, **drive.log.columns})
+    table["sideslip_rad"] = drive.truth[:, 0]
+    table["cabin_temperature"] = 21.0
+    table.to_csv(tmp_path / "log.csv", index=False)
+    return tmp_path / "log.csv"
+
+
+def arguments(log: Path, *more: str) -> list[str]:
+    return ["estimate", str(log), "--vehicle", "coms", "--out", str(log.parent / "out.csv"), *more]
+
+
+def test_estimates_scores_and_says_what_it_ignored(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments(log, "--estimator", "clones")) == 0
+    said = capsys.readouterr()
+    line = json.loads(said.out)
+    assert line["estimator"] == "clones"
+    assert line["sideslip_rmse_deg"] < line["sideslip_p95_deg"] < 0.5
+    assert "cabin_temperature" in said.err
+    out = pd.read_csv(log.parent / "out.csv")
+    assert {"stamp_s", "sideslip_rad", "sideslip_sd_rad", "lateral_offset_sd_m"} <= set(out.columns)
+
+
+def test_parquet_with_other_names_gives_the_same(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments(log, "--estimator", "bicycle")) == 0
+    first = capsys.readouterr().out
+    table = pd.read_csv(log)
+    table["speed_kmh"] = table.pop("vx_mps") * 3.6
+    table.rename(columns={"yaw_rate_radps": "gyro"}).to_parquet(log.with_suffix(".parquet"))
+    mapping = log.parent / "names.yaml"
+    mapping.write_text(f"yaw_rate_radps: gyro\nvx_mps: {{column: speed_kmh, scale: {1 / 3.6!r}}}\n")
+    more = ("--estimator", "bicycle", "--mapping", str(mapping))
+    assert run(arguments(log.with_suffix(".parquet"), *more)) == 0
+    assert capsys.readouterr().out == first
+
+
+def test_identify_finds_the_plant_and_writes_a_car(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = log.parent / "mine.yaml"
+    soft = log.parent / "soft.yaml"
+    from vehicle.io import dump_car
+
+    soft.write_text(dump_car(load_car("coms").scaled(stiffness=0.6)))
+    call = ["estimate", str(log), "--vehicle", str(soft), "--identify", "0:4", "--out", str(out)]
+    assert run(call) == 0
+    car = load_car(out)
+    assert car.front_stiffness_nprad == pytest.approx(6000.0, rel=0.05)
+    assert car.rear_stiffness_nprad == pytest.approx(6000.0, rel=0.05)
+    assert "--identify 0:4" in car.source
+    assert json.loads(capsys.readouterr().out)["car"] == "mine"
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--estimator", "oracle"), "choose one of"),
+        (("--estimator", "two_layer"), "two_layer needs gps"),
+        (("--estimator", "bicycle", "--set", "gyro_sd=1"), "setting gyro_sd"),
+        (("--estimator", "bicycle", "--set", "gyro_sd_radps=-1"), "greater than 0"),
+        (("--estimator", "bicycle", "--span", "9:7"), "two stamps"),
+        (("--estimator", "bicycle", "--span", "90:95"), "the log runs from"),
+        (("--identify", "0:4"), "name it NAME.yaml"),
+        (("--estimator", "bicycle", "--config", "nowhere.yaml"), "cannot be read"),
+    ],
+)
+def test_user_errors_are_one_line(
+    log: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...], message: str
+) -> None:
+    assert run(arguments(log, *more)) == 2
+    said = capsys.readouterr()
+    assert message in said.err
+    assert not (log.parent / "out.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.assign(stamp_s=t.stamp_s[::-1].to_numpy()), "does not follow"),
+        (lambda t: t.drop(columns="stamp_s"), "no column stamp_s"),
+        (lambda t: t.assign(vx_mps=["fast"] + ["7"] * (len(t) - 1)), "row 2, vx_mps: 'fast'"),
+        (lambda t: t.assign(vx_mps=np.inf), "infinite"),
+        (lambda t: t[:1], "two rows"),
+    ],
+)
+def test_bad_logs_name_the_place(
+    log: Path,
+    capsys: pytest.CaptureFixture[str],
+    change: Callable[[pd.DataFrame], pd.DataFrame],
+    message: str,
+) -> None:
+    change(pd.read_csv(log)).to_csv(log, index=False)
+    assert run(arguments(log, "--estimator", "bicycle")) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_list_names_estimators_and_cars(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["estimate", "--list"]) == 0
+    said = capsys.readouterr().out
+    assert "two_layer" in said
+    assert "250lm" in said
+
+
+@pytest.mark.slow
+def test_racing_car_with_true_side_slip(
+    recording: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = recording("revs_250lm") / "signals.csv.gz"
+    settings = tmp_path / "s.yaml"
+    settings.write_text(
+        "gyro_sd_radps: 0.01\ncourse_sd_rad: 0.005\nsideslip_walk_rad: 0.01\n"
+        "yaw_rate_walk_radps: 0.2\nsideslip_disturbance_radps: 0.05\nyaw_disturbance_radps2: 0.5\n"
+    )
+    errors = {}
+    for name in ("bicycle", "two_layer"):
+        call = ["estimate", str(source), "--estimator", name, "--vehicle", "250lm", "--derive-gps"]
+        call += ["--span", "250:450", "--config", str(settings), "--out", str(tmp_path / "o.csv")]
+        assert run(call) == 0
+        errors[name] = json.loads(capsys.readouterr().out)["sideslip_rmse_deg"]
+    assert errors["two_layer"] < 0.36
+    assert errors["two_layer"] < 0.7 * errors["bicycle"]
