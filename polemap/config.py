@@ -33,7 +33,7 @@ class DetectionConfig(BaseModel):
     refine_probability: float = Field(
         0.15, ge=0.0, le=1.0, description="From here on the disparity is fitted to the images."
     )
-    disparity_sd_px: float = Field(0.2, gt=0.0, description="Error that a whole stem shares.")
+    disparity_sd_px: float = Field(0.3, gt=0.0, description="Error that a whole stem shares.")
     matcher_sd_px: float = Field(0.25, ge=0.0, description="More of it without the fit.")
     column_sd_px: float = Field(0.7, gt=0.0, description="Error of a stem's centre column.")
     across_sd_m: float = Field(0.03, ge=0.0, description="Of the axis at ground level, sideways.")
