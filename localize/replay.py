@@ -248,7 +248,10 @@ def _metrics(
         },
     }
     if drive.reference is not None and len(drive.reference):
-        for name, trajectory in (("pf", pf), ("kf", kf)):
+        # from the first pole-based pose on, without the metres of a start by GNSS
+        held = np.isfinite(output[:, 3]) if len(output) else np.zeros(0, dtype=bool)
+        localized = Trajectory(kf.stamps_s[held], kf.poses[held], kf.covariance[held])
+        for name, trajectory in (("pf", pf), ("kf", kf), ("kf_localized", localized)):
             if len(trajectory.stamps_s):
                 result[name] = accuracy(
                     trajectory.stamps_s, trajectory.poses, trajectory.covariance, drive.reference
@@ -257,10 +260,12 @@ def _metrics(
 
 
 def _sampled(kf: Trajectory, stamps_s: Floats) -> tuple[Floats, Floats]:
-    """The output at the last tick before each stamp, so that equal steps are compared."""
-    rows = np.searchsorted(kf.stamps_s, stamps_s, side="right") - 1
-    rows = rows[rows >= 0]
-    return kf.stamps_s[rows], kf.poses[rows]
+    """The output between its ticks, so that equal steps are compared."""
+    if not len(kf.stamps_s):
+        return np.empty(0), np.empty((0, 3))
+    inside = stamps_s[(stamps_s >= kf.stamps_s[0]) & (stamps_s <= kf.stamps_s[-1])]
+    columns = (kf.poses[:, 0], kf.poses[:, 1], np.unwrap(kf.poses[:, 2]))
+    return inside, np.stack([np.interp(inside, kf.stamps_s, c) for c in columns], axis=1)
 
 
 def _latency(updates: Sequence[PoseUpdate]) -> Mapping[str, float]:
