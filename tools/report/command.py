@@ -11,8 +11,9 @@ import typer
 
 from drivelog.errors import ConfigError
 from tools.progress import progress
-from tools.report.evaluate import RouteResult, evaluate_route, route_systems
+from tools.report.evaluate import evaluate_route, route_systems
 from tools.report.exclusions import parse_interval
+from tools.report.results import RouteResult
 from tools.report.routes import open_routes
 from tools.report.runs import read_run_set
 from tools.report.sweep_output import sweep_output

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tools.report.bootstrap import Difference, paired_difference
-from tools.report.evaluate import RouteResult, SystemResult
+from tools.report.results import RouteResult, SystemResult
 from tools.report.tables import Table, number, span
 
 MEASURES = {

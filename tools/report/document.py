@@ -9,16 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tools.report.evaluate import RouteResult, SystemResult
-from tools.report.route_tables import (
-    EVENTS,
-    latency_ms,
-    passes_text,
-    perception_ms,
-    poles_per_km,
-    route_type,
-    runs_of,
-)
+from tools.report.results import RouteResult, SystemResult
+from tools.report.route_tables import passes_text, poles_per_km, route_type
+from tools.report.run_tables import EVENTS, latency_ms, perception_ms, runs_of
 from tools.report.tables import Table
 
 FORMAT_VERSION = 1

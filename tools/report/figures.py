@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from drivelog.errors import ConfigError
-from tools.report.evaluate import RouteResult, SystemResult
 from tools.report.exclusions import excluded_mask
-from tools.report.localizability import localizability, stereo_sensor
-from tools.report.route_tables import KIND_NAMES, runs_of
-from tools.report.style import COLOURS, FAINT, INK, LAPS, SHADE, Picture, drawing, finish, tidy
-from tools.report.sweep_spec import settings_of
+from tools.report.filter_figures import (
+    consistency,
+    errors_over_time,
+    localizability_picture,
+    poles_along_route,
+    timing_picture,
+)
+from tools.report.results import RouteResult, SystemResult
+from tools.report.route_tables import KIND_NAMES
+from tools.report.style import (
+    COLOURS,
+    FAINT,
+    INK,
+    LAPS,
+    Picture,
+    drawing,
+    finish,
+    shade_runs,
+    thin,
+    tidy,
+)
 
 Floats = NDArray[np.float64]
 
 CLOSE_UP_M = 60.0
-MAX_POINTS = 1500
-CHI2_99 = 11.345
 
 
 def route_pictures(result: RouteResult, slug: str) -> list[Picture]:
@@ -151,235 +160,6 @@ def monte_carlo(result: RouteResult, key: str) -> Picture | None:
         )
 
 
-def errors_over_time(result: RouteResult, key: str) -> Picture | None:
-    """Errors of the first run over time, with the filter's own 3-sigma band."""
-    kf, pf = result.of_kind("kf"), result.of_kind("pf")
-    if kf is None or pf is None or not kf.errors or len(kf.errors[0].stamp_s) == 0:
-        return None
-    band = _output_sds(result, kf)
-    begin = float(kf.errors[0].stamp_s[0])
-    with drawing(8.0, 4.6) as figure:
-        all_axes = figure.subplots(3, 1, sharex=True)
-        panels = (("lateral_m", "lateral [m]", 1.0), ("longitudinal_m", "longitudinal [m]", 1.0),
-                  ("yaw_rad", "yaw [°]", float(np.degrees(1.0))))  # fmt: skip
-        for row, (axes, (kind, label, scale)) in enumerate(zip(all_axes, panels, strict=True)):
-            if band is not None:
-                time, width = thin(band[0] - begin, 3.0 * scale * band[1][:, row])
-                axes.fill_between(time, -width, width, color=SHADE, lw=0, label="3σ of the kf")
-            for one in (pf, kf):
-                errors = one.errors[0]
-                time, values = thin(errors.stamp_s - begin, scale * getattr(errors, kind))
-                axes.plot(time, values, color=colour_of(one), lw=0.8, label=one.system.name)
-            limit = _robust_limit([scale * getattr(one.errors[0], kind) for one in (pf, kf)])
-            axes.set_ylim(-limit, limit)
-            tidy(axes, "", label)
-        all_axes[0].legend(fontsize=8, ncols=3, loc="upper right")
-        all_axes[-1].set_xlabel("time [s]")
-        return finish(
-            figure,
-            key,
-            f"Errors against the {result.against}",
-            "First run, first recording. Band: three standard deviations that the output filter "
-            "states, in the direction of the error.",
-        )
-
-
-def _output_sds(result: RouteResult, kf: SystemResult) -> tuple[Floats, Floats] | None:
-    """Stamps `(n,)` and lateral, longitudinal and yaw sd `(n, 3)` of the first run's output."""
-    run = runs_of(result, kf.system.setting)[0][0]
-    kept = run.output_covariance()
-    if kept is None:
-        return None
-    stamps, covariance = kept
-    yaw = run.kf.at(stamps)[:, 2]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    east, north, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
-    lateral = sin**2 * east + cos**2 * north - 2.0 * sin * cos * both
-    along = cos**2 * east + sin**2 * north + 2.0 * sin * cos * both
-    variances = np.column_stack([lateral, along, covariance[:, 2, 2]])
-    return stamps, np.sqrt(np.maximum(np.nan_to_num(variances), 0.0))
-
-
-def consistency(result: RouteResult, key: str) -> Picture | None:
-    """NIS of the particle filter's poses at the gate, and NEES of the output, over time."""
-    kf = result.of_kind("kf")
-    if kf is None:
-        return None
-    series = [s for s in (_nis(result, kf), _nees(result, kf)) if s is not None]
-    if not series:
-        return None
-    begin = min(float(stamps[0]) for _, stamps, _ in series)
-    with drawing(8.0, 0.8 + 1.7 * len(series)) as figure:
-        all_axes = figure.subplots(len(series), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, (name, stamps, values) in zip(all_axes, series, strict=True):
-            time, shown = thin(stamps - begin, values)
-            axes.plot(time, shown, ".", ms=2.5, color=COLOURS["pf"], mew=0)
-            axes.set_yscale("log")
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            for level, style in ((3.0, "-"), (CHI2_99, "--")):
-                axes.axhline(level, color=INK, lw=0.8, ls=style)
-            above = 100.0 * float(np.mean(values > CHI2_99))
-            tidy(axes, "", "", f"{name}: mean {np.mean(values):.2f}, {above:.1f} % above 99 %")
-        all_axes[-1].set_xlabel("time [s]")
-        return finish(
-            figure,
-            key,
-            "Consistency",
-            "Three degrees of freedom: line at the expected mean of 3, dashed at the 99 % "
-            "quantile. NIS: particle-filter pose against prediction; NEES: output against the "
-            f"{result.against}. First run.",
-        )
-
-
-def _nis(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] | None:
-    run = runs_of(result, kf.system.setting)[0][0]
-    stamps, values = run.health_numbers("stamp_s"), run.health_numbers("nis", "gate_nis")
-    if stamps is None or values is None:
-        return None
-    good = np.isfinite(values) & (values > 0.0)
-    return ("NIS at the gate", stamps[good], values[good]) if good.any() else None
-
-
-def _nees(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] | None:
-    sds = _output_sds(result, kf)
-    run = runs_of(result, kf.system.setting)[0][0]
-    kept = run.output_covariance()
-    if sds is None or kept is None or not kf.errors or len(kf.errors[0].stamp_s) < 2:
-        return None
-    stamps, covariance = kept
-    goals = kf.errors[0]
-    # Back from the vehicle's axes to the map's, at the stamps that have a reference.
-    rows = np.clip(np.searchsorted(stamps, goals.stamp_s), 0, len(stamps) - 1)
-    yaw = run.kf.at(goals.stamp_s)[:, 2] - goals.yaw_rad
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    error = np.column_stack(
-        [
-            cos * goals.longitudinal_m - sin * goals.lateral_m,
-            sin * goals.longitudinal_m + cos * goals.lateral_m,
-            goals.yaw_rad,
-        ]
-    )
-    known = np.isfinite(error).all(axis=1) & np.isfinite(covariance[rows]).all(axis=(1, 2))
-    error, chosen = error[known], covariance[rows][known]
-    definite = np.linalg.eigvalsh(chosen)[:, 0] > 0.0
-    error, chosen = error[definite], chosen[definite]
-    if len(error) == 0:
-        return None
-    values = np.sum(error * np.linalg.solve(chosen, error[..., None])[..., 0], axis=1)
-    return "NEES of the output filter", goals.stamp_s[known][definite], np.maximum(values, 1e-4)
-
-
-def poles_along_route(result: RouteResult, key: str) -> Picture | None:
-    """Poles seen, matched and expected at every update of the first run."""
-    kf = result.of_kind("kf")
-    if kf is None:
-        return None
-    run = runs_of(result, kf.system.setting)[0][0]
-    stamp = run.health_numbers("stamp_s", "stamp")
-    columns = (
-        (
-            "in view of the map",
-            FAINT,
-            run.health_numbers("in_view", "map_in_view", "map_poles_in_view"),
-        ),
-        ("seen", COLOURS["pf"], run.health_numbers("seen", "seen_poles")),
-        ("matched", COLOURS["kf"], run.health_numbers("matched", "matched_poles")),
-    )
-    if stamp is None or all(values is None for _, _, values in columns):
-        return None
-    track = run.kf
-    place = np.interp(stamp, track.stamp_s, track.travelled_m())
-    with drawing(8.0, 2.6) as figure:
-        axes = figure.add_subplot()
-        for name, colour, values in columns:
-            if values is not None:
-                distance, mean = binned(place, values, 10.0)
-                axes.plot(distance, mean, color=colour, label=name, drawstyle="steps-mid")
-        axes.set_ylim(bottom=0.0)
-        tidy(axes, "distance driven [m]", "poles per update")
-        axes.legend(fontsize=8, ncols=3)
-        return finish(
-            figure, key, "Pole observations along the route", "Means over 10 m, first run."
-        )
-
-
-def localizability_picture(result: RouteResult, key: str) -> Picture | None:
-    """What the map's poles allow along the first recording, in one look."""
-    recording, poles = result.route.recordings[0], result.route.pole_map
-    if poles is None or len(poles) == 0:
-        return None
-    try:
-        settings = settings_of(recording.main.config, ())
-    except ConfigError:
-        return None
-    rig = recording.drive.rig if recording.drive else None
-    focal_px, baseline_m = (rig.focal_px, rig.baseline_m) if rig else (800.0, 0.5)
-    sensor = stereo_sensor(settings, focal_px, baseline_m)
-    bound = localizability(recording.guide, poles, sensor)
-    with drawing(8.0, 3.6) as figure:
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
-        for name, values, colour in (
-            ("lateral", bound.lateral_sd_m, COLOURS["kf"]),
-            ("longitudinal", bound.longitudinal_sd_m, COLOURS["pf"]),
-        ):
-            upper.plot(bound.distance_m, values, color=colour, label=name, lw=0.9)
-        upper.set_yscale("log")
-        upper.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        upper.yaxis.set_minor_formatter(NullFormatter())
-        upper.legend(fontsize=8, ncols=2)
-        tidy(upper, "", "sd [m]")
-        lower.plot(bound.distance_m, bound.in_view, color=COLOURS["pole"], drawstyle="steps-mid")
-        lower.set_ylim(bottom=0)
-        tidy(lower, "distance driven [m]", "poles in view")
-        camera = "the drive's camera" if rig else "a camera of 800 px and 0.5 m baseline"
-        return finish(
-            figure,
-            key,
-            "Localizability",
-            f"Position standard deviation that one look at the mapped poles allows (Cramér–Rao "
-            f"bound, error model of {camera}, {sensor.range_m:.0f} m of view); a filter gathers "
-            "many looks.",
-        )
-
-
-def timing_picture(result: RouteResult, key: str) -> Picture | None:
-    """Histogram of the time an update takes by stage, or its quantiles where only they exist."""
-    runs = [run for group in runs_of(result, result.route.setting_names[0]) for run in group]
-    columns = {n: v for n, v in runs[0].timings.items() if n not in ("stamp_s", "stamp", "frame")}
-    if columns:
-        with drawing(8.0, 3.0) as figure:
-            axes = figure.add_subplot()
-            for number, name in enumerate(columns):
-                good = np.concatenate([r.timings[name] for r in runs if name in r.timings])
-                good = good[np.isfinite(good) & (good > 0)]
-                if len(good) == 0:
-                    continue
-                bins = np.geomspace(max(good.min(), 1e-3), good.max() * 1.01, 60)
-                axes.hist(
-                    good, bins.tolist(), histtype="step", color=LAPS[number % len(LAPS)], label=name
-                )
-            plain_log(axes)
-            tidy(axes, "time of an update [ms]", "updates")
-            axes.legend(fontsize=8)
-            return finish(figure, key, "Processing time", "All runs.")
-    stages = [
-        (n, f) for n, f in runs[0].metrics.get("timing_ms", {}).items() if isinstance(f, dict)
-    ]
-    if not stages:
-        return None
-    with drawing(8.0, 1.0 + 0.35 * len(stages)) as figure:
-        axes = figure.add_subplot()
-        for place, (_, figures) in enumerate(reversed(stages)):
-            marks = [float(figures.get(q) or np.nan) for q in ("median", "p95", "p99")]
-            axes.plot([marks[0], marks[2]], [place, place], color=FAINT, lw=1.0)
-            for value, mark in zip(marks, ("o", "|", "|"), strict=True):
-                axes.plot(value, place, mark, color=COLOURS["kf"], ms=7 if mark == "|" else 5)
-        axes.set_yticks(range(len(stages)), [name for name, _ in reversed(stages)])
-        plain_log(axes)
-        tidy(axes, "time [ms]", "")
-        return finish(figure, key, "Processing time", "Median (dot), p95 and p99, first run.")
-
-
 def drawn_systems(result: RouteResult) -> list[SystemResult]:
     """Systems of the first setting, output filter last so that it lies on top."""
     shown = [one for one in result.systems if one.system.setting == ""]
@@ -404,47 +184,3 @@ def near_points(points_m: Floats, result: RouteResult, margin_m: float = 60.0) -
     line = np.concatenate([one.guide.poses[:, :2] for one in result.route.recordings])
     low, high = line.min(axis=0) - margin_m, line.max(axis=0) + margin_m
     return points_m[np.all((points_m >= low) & (points_m <= high), axis=1)]
-
-
-def plain_log(axes: Axes) -> None:
-    """A logarithmic x axis with plain numbers: text here is never read as mathematics."""
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def shade_runs(axes: Axes, station: Floats, mask: NDArray[np.bool_]) -> None:
-    """Shade the stations where `mask` holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    for first, last in edges.reshape(-1, 2):
-        axes.axvspan(station[first], station[last - 1], color=SHADE, lw=0, zorder=0)
-
-
-def thin(x: Floats, y: Floats, most: int = MAX_POINTS) -> tuple[Floats, Floats]:
-    """At most `most` points; of every group the extremes stay, so that no peak disappears."""
-    if len(x) <= most:
-        return x, y
-    group = int(np.ceil(2 * len(x) / most))
-    count = len(x) // group
-    blocks = np.nan_to_num(y[: count * group]).reshape(count, group)
-    rows = np.column_stack([blocks.argmin(axis=1), blocks.argmax(axis=1)])
-    rows = np.sort(rows, axis=1) + group * np.arange(count)[:, None]
-    keep = np.unique(np.concatenate([rows.ravel(), [len(x) - 1]]))
-    return x[keep], y[keep]
-
-
-def binned(place: Floats, values: Floats, width: float) -> tuple[Floats, Floats]:
-    """Means of `values` over bins of `place`, at the middles of the bins."""
-    good = np.isfinite(place) & np.isfinite(values)
-    row = (place[good] / width).astype(np.int64)
-    count = np.bincount(row)
-    filled = count > 0
-    mean = np.bincount(row, values[good])[filled] / count[filled]
-    middle = (np.flatnonzero(filled) + 0.5) * width
-    return np.asarray(middle, dtype=np.float64), mean
-
-
-def _robust_limit(series: Sequence[Floats]) -> float:
-    """Axis limit that one excursion does not blow up: 1.5 times the 99.5 % quantile."""
-    largest = max((float(np.quantile(np.abs(v), 0.995)) for v in series if len(v)), default=1.0)
-    return max(1.5 * largest, 1e-3)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import LineString
 
-from tools.report.evaluate import RouteResult
 from tools.report.figures import drawn_systems, near_points, system_label
+from tools.report.results import RouteResult
 
 Floats = NDArray[np.float64]
 

@@ -10,14 +10,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
 
 mpl.use("Agg")
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+Floats = NDArray[np.float64]
+
+MAX_POINTS = 1500
 INK = "#1c2126"
 FAINT = "#8a929a"
 LINE = "#d4d9de"
@@ -145,3 +151,30 @@ def _inline(svg: str, key: str, title: str) -> str:
     head = re.sub(r'\s(width|height)="[^"]*"', "", body[:head_end])
     label = title.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     return f'{head} role="img" aria-label="{label}"{body[head_end:]}'
+
+
+def plain_log(axes: Axes) -> None:
+    """A logarithmic x axis with plain numbers: text here is never read as mathematics."""
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def shade_runs(axes: Axes, station: Floats, mask: NDArray[np.bool_]) -> None:
+    """Shade the stations where `mask` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    for first, last in edges.reshape(-1, 2):
+        axes.axvspan(station[first], station[last - 1], color=SHADE, lw=0, zorder=0)
+
+
+def thin(x: Floats, y: Floats, most: int = MAX_POINTS) -> tuple[Floats, Floats]:
+    """At most `most` points; of every group the extremes stay, so that no peak disappears."""
+    if len(x) <= most:
+        return x, y
+    group = int(np.ceil(2 * len(x) / most))
+    count = len(x) // group
+    blocks = np.nan_to_num(y[: count * group]).reshape(count, group)
+    rows = np.column_stack([blocks.argmin(axis=1), blocks.argmax(axis=1)])
+    rows = np.sort(rows, axis=1) + group * np.arange(count)[:, None]
+    keep = np.unique(np.concatenate([rows.ravel(), [len(x) - 1]]))
+    return x[keep], y[keep]

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from drivelog.errors import InputError, PolemapError
-from tools.report.evaluate import RouteResult, System, SystemResult, measure
+from tools.report.evaluate import measure
+from tools.report.results import RouteResult, System, SystemResult
 from tools.report.routes import Recording
 from tools.report.runs import Run
 from tools.report.scan_cache import drive_fingerprint, fingerprint

@@ -15,11 +15,11 @@ from drivelog.atomic import atomic_file
 from polemap import __version__
 from tools.report.comparison import compare_systems
 from tools.report.document import document, document_text
-from tools.report.evaluate import RouteResult
 from tools.report.figures import route_pictures
 from tools.report.interactive_map import interactive_map
 from tools.report.machine import describe_machine
 from tools.report.page import Page, Section, SettingsText, render_page
+from tools.report.results import RouteResult
 from tools.report.route_tables import all_tables, repeatability_table
 from tools.report.style import Picture
 from tools.report.tables import Table, csv_text, latex_text

@@ -1,0 +1,194 @@
+"""Tables of the runs: errors, events, times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tools.report.exclusions import START_UP_S
+from tools.report.results import RouteResult, SystemResult
+from tools.report.runs import Run
+from tools.report.tables import Table, number, with_spread
+
+EVENTS = ("reinitializations", "exploration_events", "gate_rejections", "late_dropped")
+
+
+def accuracy_table(results: Sequence[RouteResult]) -> Table:
+    """Errors against the truth or the reference."""
+    rows = []
+    for result in results:
+        for one in result.systems:
+            if not one.accuracy or not one.accuracy[0]:
+                continue
+            rows.append(
+                (
+                    result.route.name,
+                    one.system.name,
+                    result.against or "–",
+                    *(_over_runs(one, key) for key in ("lateral_rmse_m", "lateral_median_m")),
+                    _over_runs(one, "lateral_p95_m"),
+                    _over_runs(one, "settled_lateral_rmse_m"),
+                    _over_runs(one, "longitudinal_rmse_m"),
+                    _over_runs(one, "position_rmse_m"),
+                    _over_runs(one, "position_p95_m"),
+                    _over_runs(one, "yaw_rmse_rad", scale=float(np.degrees(1.0)), digits=2),
+                    _nees(result, one),
+                )
+            )
+    sds = [r.reference_sd_m for result in results for r in result.route.recordings]
+    known = [sd for sd in sds if np.isfinite(sd)]
+    own = (
+        f"The reference states a standard deviation of {np.median(known):.3f} m (median)."
+        if known
+        else "The reference does not state its own uncertainty."
+    )
+    return Table(
+        "accuracy",
+        "Accuracy",
+        (
+            "Route",
+            "System",
+            "Against",
+            "Lateral RMSE [m]",
+            "median [m]",
+            "p95 [m]",
+            "settled RMSE [m]",
+            "Longitudinal RMSE [m]",
+            "Position RMSE [m]",
+            "p95 [m]",
+            "Yaw RMSE [°]",
+            "NEES / 3",
+        ),
+        tuple(rows),
+        "At the stamps of the estimate, all recordings together; mean ± spread over runs. Settled: "
+        f"from {START_UP_S:.0f} s after the particle filter's first pose. {own}",
+        text_columns=3,
+    )
+
+
+def event_table(results: Sequence[RouteResult]) -> Table:
+    """What happened to the filters, per run."""
+    rows = []
+    for result in results:
+        for setting in result.route.setting_names:
+            for_run = runs_of(result, setting)
+            counts = {
+                key: [sum(int(run.metrics.get(key, 0)) for run in runs) for runs in for_run]
+                for key in EVENTS
+            }
+            label = result.route.setting_mark(setting)
+            rows.append(
+                (
+                    result.route.name + label,
+                    *(f"{np.mean(counts[key]):.2f} ({max(counts[key])})" for key in EVENTS),
+                )
+            )
+    return Table(
+        "events",
+        "Events",
+        ("Route", "Re-initializations", "Exploration events", "Gate rejections", "Late, dropped"),
+        tuple(rows),
+        "Mean per run, and in brackets the most in one run.",
+    )
+
+
+def timing_table(results: Sequence[RouteResult], machine: str) -> Table:
+    """The source paper's Table III with quantiles, and the latency of the pose."""
+    rows: list[tuple[str, ...]] = []
+    for result in results:
+        setting = result.route.setting_names[0]
+        runs = [run for group in runs_of(result, setting) for run in group]
+        stages: dict[str, list[Mapping[str, float]]] = {}
+        for run in runs:
+            for stage, figures in run.metrics.get("timing_ms", {}).items():
+                if isinstance(figures, Mapping):
+                    stages.setdefault(stage, []).append(figures)
+        for stage, found in stages.items():
+            rows.append((result.route.name, stage, *_quantiles(found)))
+        lag = latency_ms(runs)
+        if lag is not None:
+            rows.append((result.route.name, "latency of the pose", *(number(v, 2) for v in lag)))
+        looking = perception_ms(runs)
+        if looking is not None:
+            rows.append(
+                (result.route.name, "perception (mean a frame)", number(looking, 2), "–", "–")
+            )
+        factors = [
+            run.metrics["real_time_factor"] for run in runs if "real_time_factor" in run.metrics
+        ]
+        if factors:
+            text = number(float(np.median(factors)), 2)
+            rows.append((result.route.name, "real-time factor", text, "–", "–"))
+    machines = {
+        str(run.metrics["machine"])
+        for result in results
+        for group in runs_of(result, result.route.setting_names[0])
+        for run in group
+        if "machine" in run.metrics
+    }
+    where = "; ".join(sorted(machines)) or f"{machine} (where this report was made)"
+    return Table(
+        "timing",
+        "Processing times",
+        ("Route", "Stage", "Median [ms]", "p95 [ms]", "p99 [ms]"),
+        tuple(rows),
+        f"Medians over the runs. Machine: {where}.",
+        text_columns=2,
+    )
+
+
+def runs_of(result: RouteResult, setting: str) -> list[list[Run]]:
+    """`[run][recording]` of one setting."""
+    sets = [recording.settings[setting] for recording in result.route.recordings]
+    return [[one.runs[number] for one in sets] for number in range(min(len(s.runs) for s in sets))]
+
+
+def latency_ms(runs: Sequence[Run]) -> tuple[float, float, float] | None:
+    """Median, p95 and p99 of the age of a pose when it reaches the output filter."""
+    lags = [run.health_numbers("lag_s", "lag") for run in runs]
+    values = np.concatenate(
+        [lag[np.isfinite(lag)] for lag in lags if lag is not None] or [np.empty(0)]
+    )
+    if len(values) == 0:
+        return None
+    median, p95, p99 = (float(v) for v in 1e3 * np.quantile(values, [0.5, 0.95, 0.99]))
+    return (median, p95, p99)
+
+
+def perception_ms(runs: Sequence[Run]) -> float | None:
+    """Mean time a frame took from the images to the tracked poles."""
+    spent = [run.metrics.get("perception_s") for run in runs]
+    frames = [run.metrics.get("updates") for run in runs]
+    values = [1e3 * s / n for s, n in zip(spent, frames, strict=True) if s and n]
+    return float(np.median(values)) if values else None
+
+
+def _over_runs(one: SystemResult, key: str, scale: float = 1.0, digits: int = 3) -> str:
+    values = [scale * run[key] for run in one.accuracy if key in run]
+    return with_spread(float(np.mean(values)), run_spread(values), digits) if values else "–"
+
+
+def _nees(result: RouteResult, one: SystemResult) -> str:
+    if one.system.kind not in ("pf", "kf"):
+        return "–"
+    values = []
+    for runs in runs_of(result, one.system.setting):
+        for run in runs:
+            figures = run.metrics.get(one.system.kind)
+            if isinstance(figures, Mapping) and figures.get("nees_mean") is not None:
+                values.append(float(figures["nees_mean"]))
+    return with_spread(float(np.mean(values)), run_spread(values), 2) if values else "–"
+
+
+def run_spread(values: Sequence[float]) -> float:
+    """Standard deviation over the runs; NaN for one."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+
+
+def _quantiles(found: Sequence[Mapping[str, float]]) -> tuple[str, str, str]:
+    def middle(key: str) -> str:
+        values = [float(f[key]) for f in found if f.get(key) is not None]
+        return number(float(np.median(values)), 2) if values else "–"
+
+    return middle("median"), middle("p95"), middle("p99")
