@@ -323,7 +323,7 @@ inline double fast_log(double value) {
   std::memcpy(&bits, &value, sizeof bits);
   // halves of the exponent range meet at sqrt(1/2), so that the mantissa stays around 1
   const std::int64_t shift = (bits - 0x3fe6a09e667f3bcdLL) >> 52;
-  bits -= shift << 52;
+  bits -= shift * (std::int64_t{1} << 52);
   double mantissa;
   std::memcpy(&mantissa, &bits, sizeof mantissa);
   const double r = (mantissa - 1.0) / (mantissa + 1.0);
