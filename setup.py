@@ -16,7 +16,14 @@ FLAGS = ["-O3", "-fno-wrapv", "-g0", "-pthread"]
 setup(
     ext_modules=[
         # optional: a failed build is a warning, and the slower fallbacks serve instead
-        Pybind11Extension(module, [source], cxx_std=17, extra_compile_args=FLAGS, optional=True)
+        Pybind11Extension(
+            module,
+            [source],
+            depends=[str(header) for header in Path(source).parent.glob("*.hpp")],
+            cxx_std=17,
+            extra_compile_args=FLAGS,
+            optional=True,
+        )
         for module, source in KERNELS.items()
         if Path(source).exists()
     ]
