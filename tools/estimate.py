@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from drivelog.atomic import atomic_file
 from drivelog.errors import ConfigError, InputError
+from tools.comma2k19 import is_comma2k19, read_comma2k19
 from tools.progress import progress
 from tools.signal_log import gps_from_truth, read_signal_log
 from vehicle.config import EstimatorConfig
@@ -32,7 +33,9 @@ SETTLED_S = 2.0
 
 
 def command(
-    log: Annotated[Path | None, typer.Argument(help="CSV, Parquet or MCAP signal log.")] = None,
+    log: Annotated[
+        Path | None, typer.Argument(help="CSV, Parquet or MCAP log, or a comma2k19 folder.")
+    ] = None,
     estimator: Annotated[str | None, typer.Option("--estimator", help="See --list.")] = None,
     vehicle: Annotated[
         str | None, typer.Option("--vehicle", help="Name of a car, see --list, or a YAML file.")
@@ -76,6 +79,8 @@ def command(
         polemap estimate log.csv --estimator clones --vehicle coms --out estimate.csv
         polemap estimate log.parquet --mapping names.yaml --estimator bicycle --vehicle passat \\
             --out estimate.csv
+        polemap estimate comma2k19/ --estimator two_layer --vehicle rav4 --out estimate.csv \\
+            --set gps_slots=3 --set heading_walk_rad=0.01
         polemap estimate log.csv --identify 150:250 --vehicle 250lm_published --out 250lm.yaml
     """
     if listed:
@@ -83,10 +88,8 @@ def command(
         return
     if log is None or vehicle is None or out is None:
         raise ConfigError("estimate needs a LOG, --vehicle and --out; --list names the cars")
-    signals, ignored = read_signal_log(log, mapping)
-    if ignored:
-        sys.stderr.write(f"note: ignored columns {', '.join(ignored)}\n")
     car = load_car(vehicle)
+    signals, scored_from_s = _read(log, mapping, car)
     if identify_span is not None:
         _identify(signals, car, identify_span, log, vehicle, out)
         return
@@ -105,9 +108,26 @@ def command(
         sys.stderr.write("note: GPS is derived from the reference with seeded noise, not real\n")
     played = run_estimator(estimator, signals, car, config, log)
     write_estimates(played, out)
-    scores = score(estimator, played, signals, car)
+    scores = score(estimator, played, signals, car, scored_from_s)
     if scores:
         sys.stdout.write(json.dumps(scores) + "\n")
+
+
+def _read(log: Path, mapping: Path | None, car: Car) -> tuple[SignalLog, float]:
+    """The log, and the stamp up to which its reference was used and is not to be scored."""
+    if is_comma2k19(log):
+        segment = read_comma2k19(log, car.steering_ratio)
+        yaw, pitch = np.degrees([segment.mount_yaw_rad, segment.mount_pitch_rad])
+        sys.stderr.write(
+            f"note: mount yaw {yaw:.2f} and pitch {pitch:.2f} degrees from the reference up to "
+            f"{segment.mount_until_s:.1f} s, scored from there; GNSS {segment.gnss_delay_s:.3f} s "
+            "late\n"
+        )
+        return segment.log, segment.mount_until_s
+    signals, ignored = read_signal_log(log, mapping)
+    if ignored:
+        sys.stderr.write(f"note: ignored columns {', '.join(ignored)}\n")
+    return signals, float("-inf")
 
 
 def run_estimator(
@@ -175,10 +195,12 @@ def at_reference(name: str, played: Played, signals: SignalLog, car: Car) -> Flo
     return np.asarray(slip + car.sideslip_point_m * played.column("yaw_rate_radps") / speed)
 
 
-def score(name: str, played: Played, signals: SignalLog, car: Car) -> dict[str, object]:
-    """Errors against the reference of the log; empty without one."""
+def score(
+    name: str, played: Played, signals: SignalLog, car: Car, from_s: float = float("-inf")
+) -> dict[str, object]:
+    """Errors against the reference of the log from `from_s` on; empty without one."""
     result: dict[str, object] = {}
-    late = played.stamp_s >= played.stamp_s[0] + SETTLED_S
+    late = played.stamp_s >= max(from_s, float(played.stamp_s[0]) + SETTLED_S)
     if signals.has("sideslip_rad"):
         error = at_reference(name, played, signals, car) - signals.columns["sideslip_rad"]
         error = np.degrees(error[late & np.isfinite(error)])
@@ -188,10 +210,16 @@ def score(name: str, played: Played, signals: SignalLog, car: Car) -> dict[str, 
                 "sideslip_rmse_deg": round(float(np.sqrt(np.mean(error**2))), 5),
                 "sideslip_p95_deg": round(float(np.percentile(np.abs(error), 95)), 5),
             }
-    if signals.has("vy_mps") and "vy_mps" in played.fields:
-        error = (played.column("vy_mps") - signals.columns["vy_mps"])[late]
-        result.setdefault("estimator", name)
-        result["vy_rmse_mps"] = round(float(np.sqrt(np.nanmean(error**2))), 5)
+    for field, reference in (("vx_mps", "vx_reference_mps"), ("vy_mps", "vy_mps")):
+        if not signals.has(reference) or field not in played.fields:
+            continue
+        error = played.column(field) - signals.columns[reference]
+        error = error[late & np.isfinite(error)]
+        if len(error):
+            result.setdefault("estimator", name)
+            stem = field.removesuffix("_mps")
+            result[f"{stem}_rmse_mps"] = round(float(np.sqrt(np.mean(error**2))), 5)
+            result[f"{stem}_p95_mps"] = round(float(np.percentile(np.abs(error), 95)), 5)
     return result
 
 

@@ -33,6 +33,9 @@ class EstimatorConfig(BaseModel):
     course_sd_rad: float = Field(0.01, gt=0.0, le=1.0, description="GPS")
     speed_sd_mps: float = Field(0.05, gt=0.0, le=10.0, description="GPS speed")
     wheel_speed_sd_mps: float = Field(0.1, gt=0.0, le=10.0)
+    heading_walk_rad: float = Field(
+        0.0, ge=0.0, le=1.0, description="heading in 1 s beside the yaw rate: bias of a real gyro"
+    )
     gps_slots: int = Field(1, ge=1, le=8)
     disturbance_time_s: float = Field(2.0, gt=0.01, le=1000.0, description="leak of d")
     sideslip_disturbance_radps: float = Field(0.1, gt=0.0, le=10.0, description="sd of d_beta")

@@ -26,6 +26,7 @@ class Car:
         sideslip_point_m: how far ahead of the centre of gravity the side-slip reference sits.
         rear_track_m: distance of the rear wheels; 0 if unknown.
         wheel_radius_m: 0 if unknown.
+        steering_ratio: steering-wheel angle over road-wheel angle; 0 if unknown.
         motor_torque_limit_nm: of one in-wheel motor; 0 if there is none.
     """
 
@@ -42,6 +43,7 @@ class Car:
     sideslip_point_m: float = 0.0
     rear_track_m: float = 0.0
     wheel_radius_m: float = 0.0
+    steering_ratio: float = 0.0
     motor_torque_limit_nm: float = 0.0
 
     def __post_init__(self) -> None:

@@ -36,7 +36,7 @@ INPUT_COLUMNS = (
     "camera_arrival_s",
     "gnss_arrival_s",
 )
-REFERENCE_COLUMNS = ("sideslip_rad", "vy_mps")
+REFERENCE_COLUMNS = ("sideslip_rad", "vy_mps", "vx_reference_mps")
 LATE = {
     CAMERA: ("heading_rad", "lateral_offset_m", "camera_arrival_s"),
     GPS: ("course_rad", "speed_mps", "gnss_arrival_s"),

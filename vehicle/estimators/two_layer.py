@@ -80,7 +80,7 @@ class TwoLayerKalman:
         density = (
             config.sideslip_walk_rad**2,
             config.yaw_rate_walk_radps**2,
-            0.0,
+            config.heading_walk_rad**2,
             2.0 * config.sideslip_disturbance_radps**2 / tau,
             2.0 * config.yaw_disturbance_radps2**2 / tau,
         )
@@ -187,7 +187,7 @@ class TwoLayerKalman:
         if speed >= COURSE_SPEED_MPS:
             jacobian = np.zeros((1, self._angles.size))
             jacobian[0, rows] = 1.0
-            self._course(jacobian, course, 0.0, rows)
+            self._course(jacobian, course, 0.0)
         beta, variance = self._angles.x.item(rows.start), self._angles.p[rows.start, rows.start]
         seen = np.zeros((2, self._speeds.size))
         seen[0, speed_rows.start] = seen[1, speed_rows.start + 1] = 1.0
@@ -207,8 +207,12 @@ class TwoLayerKalman:
             # the late value corrects the state of its capture; the model brings that to now
             cross = angles.covariance @ COURSE_ROW[0]
             s = float(COURSE_ROW[0] @ cross) + self._config.course_sd_rad**2
-            error = course - float(COURSE_ROW[0] @ angles.mean)
-            then = angles.mean + cross / s * float(wrap_angle(error))
+            error = float(wrap_angle(course - float(COURSE_ROW[0] @ angles.mean)))
+            if not self._headed:
+                self._set_heading(error)
+                angles.mean[2] += error
+                error = 0.0
+            then = angles.mean + cross / s * error
             now = angles.product @ then + angles.driven
             self._course(COURSE_ROW, float(COURSE_ROW[0] @ now), 0.0)
             beta, variance = float(then[0]), variance - float(cross[0]) ** 2 / s
@@ -219,20 +223,24 @@ class TwoLayerKalman:
         self._velocity(_VELOCITY, beta, variance, speed, now_speeds[:2])
         return True
 
-    def _course(
-        self, jacobian: Floats, course: float, extra: float, clone: slice | None = None
-    ) -> None:
+    def _course(self, jacobian: Floats, course: float, extra: float) -> None:
         f = self._angles
         residual = float(wrap_angle(course - float((jacobian @ f.x)[0])))
         if not self._headed:
-            # before the first course the heading is anything; later steps are small and linear
-            self._headed = True
-            f.x[2] += residual
-            if clone is not None:
-                f.x[clone.stop - 1] += residual
+            self._set_heading(residual)
             residual = 0.0
         noise = np.array([[self._config.course_sd_rad**2 + extra]])
         f.update(jacobian, np.array([residual]), noise)
+
+    def _set_heading(self, change_rad: float) -> None:
+        """Before the first course the heading is anything; later steps are small and linear."""
+        self._headed = True
+        f = self._angles
+        f.x[2] += change_rad
+        # the captures still on their way saw the same heading
+        f.x[f.n + 1 :: 2] += change_rad
+        for angles, _ in self._carriers:
+            angles.mean[2] += change_rad
 
     def _velocity(
         self,

@@ -216,3 +216,20 @@ def test_two_layer_outlives_a_lost_gps() -> None:
     assert sd[7900] < 1.2 * sd[2900]
     slip_steps = np.abs(np.diff(played.column("sideslip_rad")))
     assert slip_steps[5950:6400].max() < 2.0 * slip_steps[1500:2900].max() + 1e-4
+
+
+def test_two_layer_starts_from_any_course_with_several_fixes_on_their_way() -> None:
+    """The first course sets the heading; the captures already taken must follow it."""
+    from vehicle.studies.papers import GPS_NOISE
+
+    config = GPS_NOISE.model_copy(update={"gps_slots": 3})
+    scene = Scene(29 / 3.6, 3.0, 0.02, 0.2, (0.24,), 0.1, model_noise=False)
+    drive = drive_with_gps(COMS, scene, config, np.random.default_rng(3))
+    turned = {**drive.log.columns, "course_rad": drive.log.columns["course_rad"] + 1.5}
+    log = type(drive.log)(drive.log.stamp_s, turned)
+    for name in ("two_layer", "two_layer_reconstructed"):
+        straight = play(make_estimator(name, COMS, config), drive.log, every=10)
+        other = play(make_estimator(name, COMS, config), log, every=10)
+        slip, same = other.column("sideslip_rad"), straight.column("sideslip_rad")
+        np.testing.assert_allclose(slip, same, rtol=0, atol=1e-9)
+        assert np.abs(slip - drive.truth[::10, 0])[50:].max() < 0.01
