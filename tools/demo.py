@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from tools import localize, map, simulate
+from tools import localize, simulate
+from tools import map as pole_maps
 from tools.report import command as report
 from tools.settings import ConfigOption, SeedOption, SetOption
 
 WORLD = "park_loop"
 MAP_LAP = "lap_1"
 TEST_LAPS = ("lap_2", "lap_3")
+# the drive is filmed at 5 Hz to keep the demo short, so a pole is seen in few frames
+MAPPING = "polemap.mapping.observations_min=5"
 
 
 def command(
@@ -44,23 +46,16 @@ def command(
     laps = 1 + len(TEST_LAPS)
     _show(f"simulate {WORLD} --out {drive} --laps {laps} --objects", seed)
     simulate.command(WORLD, out=drive, laps=laps, objects=True, **shared)
-    _show(f"map {drive} --lap {MAP_LAP} --out {pole_map}", seed)
-    map.command([drive], out=pole_map, lap=MAP_LAP, **shared)
+    _show(f"map {drive} --lap {MAP_LAP} --out {pole_map} --set {MAPPING}", seed)
+    mapping = {**shared, "set_values": [MAPPING, *(set_values or [])]}
+    pole_maps.command([drive], out=pole_map, lap=MAP_LAP, **mapping)
     for lap, run in zip(TEST_LAPS, runs, strict=True):
         _show(f"localize {drive} --map {pole_map} --lap {lap} --out {run}", seed)
         localize.command(drive, out=run, map_file=pole_map, lap=lap, **shared)
-    _show(f"report {' '.join(map_text(runs))} --out {page}", seed)
+    _show(f"report {' '.join(map(str, runs))} --out {page}", seed)
     report.command(runs, out=page, seed=seed)
     typer.echo(f"demo finished in {time.monotonic() - begin:.0f} s; open {page / 'report.html'}")
 
 
-def map_text(paths: list[Path]) -> list[str]:
-    """Paths as a command line has them."""
-    return [str(path) for path in paths]
-
-
 def _show(line: str, seed: int) -> None:
     typer.echo(f"\n$ polemap {line}" + (f" --seed {seed}" if seed else ""))
-
-
-Verb = Callable[..., None]
