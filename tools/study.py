@@ -17,7 +17,7 @@ from tools.progress import progress
 from vehicle.io import load_car
 from vehicle.studies.papers import STUDIES, Study
 
-_TABLE = "{:<44} {:>20} {:>11}  {}"
+_TABLE = "{:<54} {:>20} {:>11}  {}"
 _STYLES = ("k-", "C0-", "C1-", "C2-", "C3-", "C4-")
 
 

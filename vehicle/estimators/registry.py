@@ -20,6 +20,7 @@ from vehicle.estimators.clones import CloneKalman
 from vehicle.estimators.compensated import CompensatedKalman
 from vehicle.estimators.kinematic import KinematicKalman
 from vehicle.estimators.linear_observer import LinearObserver
+from vehicle.estimators.measurement_reconstruction import MeasurementReconstructionKalman
 from vehicle.estimators.replay import MultiRateKalman, ReplayKalman
 from vehicle.estimators.single_rate import SingleRateKalman
 from vehicle.estimators.stiffness import StiffnessKalman
@@ -79,6 +80,12 @@ ESTIMATORS: dict[str, Entry] = {
         "gain of the capture carried to now (Larsen)",
         (YAW_RATE, CAMERA),
         ReconstructionKalman,
+        (CAMERA,),
+    ),
+    "measurement_reconstruction": Entry(
+        "late picture carried to now and measured there (N13, for the camera)",
+        (YAW_RATE, CAMERA),
+        MeasurementReconstructionKalman,
         (CAMERA,),
     ),
     "clones": Entry("exact for late pictures, clones", (YAW_RATE, CAMERA), CloneKalman, (CAMERA,)),

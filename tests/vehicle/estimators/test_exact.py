@@ -101,10 +101,11 @@ def test_exact_filter_is_consistent_and_others_are_ordered() -> None:
     assert 0.85 < exact.rmse_rad / exact.sd_rad < 1.15
     ratio = {
         name: outcome(name, COMS, MATCHED, drives).rmse_rad / exact.rmse_rad
-        for name in ("reconstruction", "uneven_delay", "bicycle")
+        for name in ("reconstruction", "uneven_delay", "measurement_reconstruction", "bicycle")
     }
     assert ratio["reconstruction"] == pytest.approx(1.0, abs=0.01)
     assert ratio["uneven_delay"] < 1.05
+    assert ratio["measurement_reconstruction"] < 1.08
     assert ratio["bicycle"] > 1.02
     ignored = MATCHED.model_copy(update={"camera_delay_s": 0.0})
     base = outcome("clones", COMS, MATCHED, drives[:1]).rmse_rad
@@ -145,7 +146,10 @@ def test_every_estimator_keeps_the_protocol(name: str) -> None:
         estimator.step(0.01, Inputs(0.0, 6.0))
 
 
-@pytest.mark.parametrize("name", ["clones", "replay", "compensated", "uneven_delay", "stiffness"])
+@pytest.mark.parametrize(
+    "name",
+    ["clones", "replay", "compensated", "uneven_delay", "stiffness", "measurement_reconstruction"],
+)
 def test_a_value_that_is_no_pair_is_refused(name: str) -> None:
     estimator = make_estimator(name, COMS, EstimatorConfig())
     estimator.step(0.0, Inputs(0.0, 5.0))
@@ -154,7 +158,10 @@ def test_a_value_that_is_no_pair_is_refused(name: str) -> None:
             estimator.measure(CAMERA, bad, 0.0, 0.0)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["clones", "compensated", "uneven_delay", "two_layer"])
+@pytest.mark.parametrize(
+    "name",
+    ["clones", "compensated", "uneven_delay", "two_layer", "measurement_reconstruction"],
+)
 def test_values_without_a_capture_are_counted(name: str) -> None:
     estimator = make_estimator(name, COMS, EstimatorConfig())
     estimator.step(0.0, Inputs(0.0, 5.0))
@@ -178,10 +185,21 @@ def test_a_lost_camera_is_said_and_comes_back_without_a_jump(name: str) -> None:
     assert offset_sd[3990] > 5.0 * offset_sd[1990]
     assert offset_sd[5900] < 1.5 * offset_sd[1990]
     error = np.abs(played.mean - drive.truth)[2000:4000]
-    assert (error < 4.5 * played.sd[2000:4000]).all(axis=0)[[0, 3]].all()
+    assert (error < 4.5 * played.sd[2000:4000])[:, [0, 3]].all()
     # the step at the first picture is no larger than what the bridge lets through in one ms
     steps = np.abs(np.diff(played.column("sideslip_rad")))
     assert steps[3990:4100].max() < 2.0 * np.quantile(steps[500:1990], 0.999) + 1e-4
+
+
+def test_a_perfect_picture_reconstructed_leaves_a_perfect_state_alone() -> None:
+    """Without noise the picture carried to now says what the state says, whatever the delay."""
+    scene = Scene(SPEED, 1.2, 0.1, 0.5, PATTERN_S, model_noise=False)
+    quiet = MATCHED.model_copy(
+        update={"gyro_sd_radps": 1e-9, "heading_sd_rad": 1e-9, "lateral_offset_sd_m": 1e-9}
+    )
+    drive = drive_with_camera(COMS, scene, quiet, np.random.default_rng(0))
+    played = play(make_estimator("measurement_reconstruction", COMS, MATCHED), drive.log)
+    np.testing.assert_allclose(played.mean, drive.truth, rtol=0, atol=1e-6)
 
 
 def test_unknown_estimators_and_kinds() -> None:
