@@ -175,7 +175,7 @@ class FastClones:
         self.x[:n] = state
         self.p = np.zeros((size, size))
         self.p[:n, :n] = covariance
-        self._g = np.eye(size)
+        self._g, self._eye = np.eye(size), np.eye(size)
         self._g_transposed = self._g.T
         self._work, self._vector = np.zeros((size, size)), np.zeros(size)
         self._outer, self._row = np.zeros((size, size)), np.zeros(size)
@@ -233,11 +233,20 @@ class FastClones:
     def update(self, jacobian: Floats, residual: Floats, noise: Floats) -> None:
         """Joseph update with `jacobian` `(k, size)`."""
         cross = self.p @ jacobian.T
-        s = jacobian @ cross + noise
-        gain = np.linalg.solve(s, cross.T).T
-        keep = np.eye(self.size) - gain @ jacobian
-        p = keep @ self.p @ keep.T + gain @ noise @ gain.T
-        self.p[:] = 0.5 * (p + p.T)
+        s = jacobian @ cross
+        s += noise
+        if len(s) == 2:
+            # by hand: LAPACK's call costs more than all the rest of the step
+            a, b, c, d = s.ravel().tolist()
+            gain = cross @ np.array([[d, -b], [-c, a]])
+            gain /= a * d - b * c
+        else:
+            gain = np.linalg.solve(s, cross.T).T
+        keep = self._eye - gain @ jacobian
+        p = keep @ self.p @ keep.T
+        p += gain @ noise @ gain.T
+        p += p.T.copy()
+        np.multiply(p, 0.5, out=self.p)
         self.x += gain @ residual
 
     def release(self, stamp_s: float) -> None:
