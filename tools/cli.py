@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
 
@@ -97,8 +98,14 @@ def _complain(message: str) -> int:
     return USER_ERROR
 
 
+def _note(message: Warning | str, *_where: object, **_rest: object) -> None:
+    """A warning as one line, without the place in the code that raised it."""
+    sys.stderr.write(f"polemap: note: {' '.join(str(message).split())}\n")
+
+
 def main() -> None:
     """Entry point; a crash leaves its traceback and exit code 1."""
     # a terminated command ends its worker processes and tidies up, as an interrupted one does
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    warnings.showwarning = _note
     sys.exit(run(sys.argv[1:]))

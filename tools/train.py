@@ -66,7 +66,9 @@ def command(
     crossed = None
     if len(samples.groups) > 1:
         crossed = judge(cross_validate(samples, training), samples.is_pole)
-    model = train(samples, training, _origin(samples, crossed, training))
+    model = train(
+        samples, training, {**_origin(samples, crossed, training), **_source(pairs, parts, every)}
+    )
     write_classifier(model, out)
     _tell(model, samples, crossed)
 
@@ -79,6 +81,16 @@ def _pairs(items: list[str]) -> list[tuple[str, str]]:
             raise ConfigError(f"{item}: expected DRIVE=MAP, such as sim_1=sim_1/objects.geojson")
         pairs.append((drive, pole_map))
     return pairs
+
+
+def _source(pairs: list[tuple[str, str]], parts: int, every: int) -> dict[str, Any]:
+    """The command, without the folders of this machine, and what the drives say of themselves."""
+    words = [f"{Path(drive).name}={Path(pole_map).name}" for drive, pole_map in pairs]
+    opened = [open_drive(Path(drive)) for drive, _ in pairs]
+    return {
+        "command": f"polemap train {' '.join(words)} --parts {parts} --every {every}",
+        "notes": {drive.name: list(drive.notes) for drive in opened},
+    }
 
 
 def _collect(
