@@ -67,7 +67,9 @@ def command(
     if len(samples.groups) > 1:
         crossed = judge(cross_validate(samples, training), samples.is_pole)
     model = train(
-        samples, training, {**_origin(samples, crossed, training), **_source(pairs, parts, every)}
+        samples,
+        training,
+        {**_origin(samples, crossed, training), **_source(pairs, lacking, parts, every)},
     )
     write_classifier(model, out)
     _tell(model, samples, crossed)
@@ -83,9 +85,12 @@ def _pairs(items: list[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _source(pairs: list[tuple[str, str]], parts: int, every: int) -> dict[str, Any]:
+def _source(
+    pairs: list[tuple[str, str]], lacking: dict[str, str], parts: int, every: int
+) -> dict[str, Any]:
     """The command, without the folders of this machine, and what the drives say of themselves."""
     words = [f"{Path(drive).name}={Path(pole_map).name}" for drive, pole_map in pairs]
+    words += [f"--unmapped {Path(d).name}={Path(m).name}" for d, m in lacking.items()]
     opened = [open_drive(Path(drive)) for drive, _ in pairs]
     return {
         "command": f"polemap train {' '.join(words)} --parts {parts} --every {every}",
