@@ -7,7 +7,9 @@ the columns.
 from __future__ import annotations
 
 import json
+import sqlite3
 import warnings
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from drivelog.atomic import atomic_file
 from drivelog.errors import FrameError, InputError
 from drivelog.frames import EarthFrame
 from drivelog.tables import read_table
-from polemap.formats import geojson, geoparquet, opendrive, osm
+from polemap.formats import geojson, geoparquet, opendrive, osm, qgis
 from polemap.formats.columns import KNOWN, from_columns, to_columns
 from polemap.landmark_map import PoleMap
 
@@ -43,7 +45,7 @@ def check_writable(path: Path) -> None:
 
 
 def export_map(pole_map: PoleMap, path: Path) -> None:
-    """Write a map in any format, those for other programs (.osm, .xodr) included.
+    """Write a map in any format, those for other programs (.osm, .osm.pbf, .xodr) included.
 
     Raises:
         InputError: an ending that is not known, or a place that cannot be written to.
@@ -109,9 +111,18 @@ def read_map(path: Path, frame: EarthFrame | None = None, *, allow_empty: bool =
 
 
 def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
+    layers = [LAYER]
     _write_layer(pole_map, path, LAYER)
     if pole_map.doubtful is not None and len(pole_map.doubtful):
+        layers.append(DOUBTFUL)
         _write_layer(pole_map.doubtful, path, DOUBTFUL)
+    rows = qgis.style_rows(
+        {name: pyogrio.read_info(path, name)["geometry_name"] for name in layers}
+    )
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(qgis.TABLE)
+        database.execute(qgis.REGISTER)
+        database.executemany(qgis.INSERT, rows)
 
 
 def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
@@ -131,7 +142,8 @@ def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
 
 def _read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
     try:
-        layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+        # tables without geometry (styles, say) are no layers of poles
+        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
         layer = LAYER if LAYER in layers else layers[0]
         pole_map = _read_layer(path, layer, frame)
         if layer == LAYER and DOUBTFUL in layers:
@@ -223,6 +235,14 @@ def _read_osm(path: Path, frame: EarthFrame | None) -> PoleMap:
     return osm.from_xml(path.read_bytes(), frame)
 
 
+def _write_pbf(pole_map: PoleMap, path: Path) -> None:
+    osm.write_pbf(pole_map, str(path))
+
+
+def _read_pbf(path: Path, frame: EarthFrame | None) -> PoleMap:
+    return osm.read_pbf(str(path), frame)
+
+
 def _write_opendrive(pole_map: PoleMap, path: Path) -> None:
     path.write_bytes(opendrive.to_xml(pole_map))
 
@@ -234,8 +254,9 @@ _READERS = {
     ".parquet": _read_parquet,
     ".csv": _read_csv,
     ".osm": _read_osm,
+    ".pbf": _read_pbf,
 }
 _WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
 # for other programs only: they keep less than the whole map
-_EXPORTERS = {".osm": _write_osm, ".xodr": _write_opendrive}
+_EXPORTERS = {".osm": _write_osm, ".pbf": _write_pbf, ".xodr": _write_opendrive}
 MAP_ENDINGS = tuple(sorted(_READERS))

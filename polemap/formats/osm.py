@@ -1,10 +1,13 @@
-"""Pole maps as OpenStreetMap XML, and nodes of an OpenStreetMap extract as a first map.
+"""Pole maps as OpenStreetMap XML or PBF, and nodes of an OpenStreetMap extract as a first map.
 
 The tags are those of OpenStreetMap's own schema; what it has no tag for stands under `polemap:`.
+PBF keeps positions to 1e-7 degrees, a centimetre.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from importlib import import_module
 from typing import Any
 from xml.etree import ElementTree
 
@@ -35,15 +38,13 @@ def to_xml(pole_map: PoleMap) -> bytes:
     Raises:
         FrameError: the map is in a local frame.
     """
-    if not pole_map.frame.is_utm:
-        raise FrameError(f"OpenStreetMap needs WGS84 positions, but the map is in {pole_map.frame}")
-    place = geographic_from_grid(pole_map.frame, pole_map.points_m)
+    place = _places(pole_map)
     root = ElementTree.Element("osm", version="0.6", generator="polemap", upload="false")
     for row in range(len(pole_map)):
         node = ElementTree.SubElement(
             root,
             "node",
-            id=str(-(int(pole_map.ids[row]) + 1)),
+            id=str(_node_id(pole_map, row)),
             visible="true",
             version="1",
             lat=f"{place[row, 0]:.9f}",
@@ -53,6 +54,62 @@ def to_xml(pole_map: PoleMap) -> bytes:
             ElementTree.SubElement(node, "tag", k=key, v=value)
     ElementTree.indent(root)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _places(pole_map: PoleMap) -> Floats:
+    """Latitudes and longitudes `(n, 2)`."""
+    if not pole_map.frame.is_utm:
+        raise FrameError(f"OpenStreetMap needs WGS84 positions, but the map is in {pole_map.frame}")
+    return geographic_from_grid(pole_map.frame, pole_map.points_m)
+
+
+def _node_id(pole_map: PoleMap, row: int) -> int:
+    return -(int(pole_map.ids[row]) + 1)
+
+
+def write_pbf(pole_map: PoleMap, path: str) -> None:
+    """Write the map as an .osm.pbf file, sorted as OpenStreetMap sorts negative ids.
+
+    Raises:
+        FrameError: the map is in a local frame.
+    """
+    osmium = import_module("osmium")
+    place = _places(pole_map)
+    header = osmium.io.Header()
+    header.set("generator", "polemap")
+    with osmium.SimpleWriter(osmium.io.File(path, "pbf"), header=header, overwrite=True) as writer:
+        for row in np.argsort(pole_map.ids):
+            latitude, longitude = place[row].tolist()
+            writer.add_node(
+                osmium.osm.mutable.Node(
+                    id=_node_id(pole_map, int(row)),
+                    version=1,
+                    visible=True,
+                    location=(longitude, latitude),
+                    tags=_tags(pole_map, int(row)),
+                )
+            )
+
+
+def read_pbf(path: str, frame: EarthFrame | None) -> PoleMap:
+    """The nodes of an .osm.pbf extract that stand up like poles, as a first map.
+
+    Raises:
+        InputError: no PBF, or no such node in it.
+    """
+    osmium = import_module("osmium")
+    wanted = [(key, value) for key, values in POLES.items() for value in sorted(values)]
+    nodes = []
+    try:
+        # what has none of the tags never leaves the library: an extract of a country is read too
+        for node in osmium.FileProcessor(osmium.io.File(path, "pbf"), osmium.osm.NODE).with_filter(
+            osmium.filter.TagFilter(*wanted)
+        ):
+            place = (node.location.lon, node.location.lat) if node.location.valid() else None
+            nodes.append((node.id, place, dict(node.tags)))
+    except RuntimeError as error:
+        raise InputError(f"not an OpenStreetMap PBF file ({str(error)[:80]})") from error
+    return _from_nodes(nodes, frame)
 
 
 def _tags(pole_map: PoleMap, row: int) -> dict[str, str]:
@@ -82,15 +139,31 @@ def from_xml(data: bytes, frame: EarthFrame | None) -> PoleMap:
         raise InputError(f"not XML ({error})") from error
     if root.tag != "osm":
         raise InputError(f"not OpenStreetMap XML: its root is <{root.tag[:40]}>")
-    positions, properties = [], []
+    return _from_nodes(_xml_nodes(root), frame)
+
+
+_Node = tuple[Any, tuple[float, float] | None, dict[str, str]]
+
+
+def _xml_nodes(root: ElementTree.Element) -> Iterator[_Node]:
     for node in root.iter("node"):
         tags = {str(tag.get("k")): str(tag.get("v")) for tag in node.iter("tag")}
+        try:
+            place = (float(node.get("lon", "")), float(node.get("lat", "")))
+        except ValueError:
+            yield node.get("id"), None, tags
+        else:
+            yield node.get("id"), place, tags
+
+
+def _from_nodes(nodes: Iterable[_Node], frame: EarthFrame | None) -> PoleMap:
+    positions, properties = [], []
+    for name, place, tags in nodes:
         if not any(tags.get(key) in values for key, values in POLES.items()):
             continue
-        try:
-            positions.append([float(node.get("lon", "")), float(node.get("lat", ""))])
-        except ValueError:
-            raise InputError(f"node {node.get('id')} has no position") from None
+        if place is None:
+            raise InputError(f"node {name} has no position")
+        positions.append(place)
         properties.append(_properties(tags))
     if not positions:
         raise InputError("no node in it is a lamp, pole, mast, bollard or tree")
