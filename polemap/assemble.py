@@ -11,11 +11,12 @@ from scipy.spatial import KDTree
 
 from drivelog.frames import EarthFrame
 from polemap.align import NO_SHIFT, Shift, register
-from polemap.existence import Evidence, detection_probability, evidence, existence, visibility
+from polemap.city.tiles import Run, here, merge_tiles
+from polemap.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.history import COLUMN, OldMap, open_history, write_history
 from polemap.landmark_map import PoleMap, join_maps
 from polemap.mapping_config import MappingConfig
-from polemap.merge import Merged, merge_passes
+from polemap.merge import Merged
 from polemap.observe import DriveObservations, join_apart, join_landmarks
 from polemap.passes import PassLandmarks
 
@@ -48,8 +49,20 @@ def assemble_map(
     *,
     update: PoleMap | None = None,
     align: bool = False,
+    run: Run = here,
+    tile_m: float | None = None,
 ) -> BuiltMap:
-    """Merge what drives observed; neither their order nor who computed them matters."""
+    """Merge what drives observed; neither their order nor who computed them matters.
+
+    Args:
+        observed: the drives.
+        config: settings.
+        frame: of the map.
+        update: a map to bring up to date.
+        align: lay drives onto each other first.
+        run: applies a function to tasks; `here`, or that of a cluster (`city.work`).
+        tile_m: edge of the tiles in which the merging is done; the rows do not depend on it.
+    """
     ordered = sorted(observed, key=lambda part: part.order)
     if update is not None and update.doubtful is not None:
         update = join_maps(update, update.doubtful)
@@ -65,8 +78,8 @@ def assemble_map(
     unresolved = [] if align else [shift.size_m for shift in shifts.values() if shift.significant]
     # drives that are known to disagree make the map no better than they are
     floor = float(np.sqrt(np.mean(np.square(unresolved)) / 2.0)) if unresolved else 0.0
-    merged = merge_passes(landmarks, config, apart, floor)
-    evidences = _all_evidence(ordered, old, merged, config)
+    merged, seen = merge_tiles(landmarks, apart, ordered, config, floor, run=run, tile_m=tile_m)
+    evidences = _all_evidence(ordered, seen, old, merged)
     built = _finish(landmarks, merged, evidences, old, update, config, frame)
     return replace(built, shifts=shifts, reports=_reports(ordered, shifts, align, merged))
 
@@ -117,23 +130,18 @@ def _decided_apart(old: OldMap, stood: NDArray[np.bool_]) -> Whole:
 
 def _all_evidence(
     ordered: Sequence[DriveObservations],
+    parts: list[Visibility],
     old: OldMap | None,
     merged: Merged,
-    config: MappingConfig,
 ) -> list[tuple[str, float, Evidence]]:
     """What every drive, old and new, counted at every pole; in the order of time."""
-    start, parts = 0, []
-    for part in ordered:
-        owner = merged.owner[start : start + len(part.landmarks)][part.rows]
-        parts.append(visibility(part.sightings, owner, merged.points_m, config))
-        start += len(part.landmarks)
     detection = detection_probability(parts)
     drives = [
         (part.sightings.drive, part.sightings.start_s, evidence(seen, detection))
         for part, seen in zip(ordered, parts, strict=True)
     ]
     if old is not None:
-        rows = merged.owner[start:]
+        rows = merged.owner[sum(len(part.landmarks) for part in ordered) :]
         for name, when, counts in old.evidence:
             drives.append((name, when, _carried(counts, old, rows, merged.points_m)))
     return sorted(drives, key=lambda drive: (drive[1], drive[0]))

@@ -76,4 +76,7 @@ def observe(
         raise InputError(
             f"drive {drive.name}: it has no reference poses; a map is built from where the car was"
         )
-    return observe_drive(name, drive.frame, scans, drive.reference, config, frame)
+    # poles of a poles.csv were detected by something else
+    rig = drive.rig if drive.has_frames else None
+    gain = rig.focal_px * rig.baseline_m if rig is not None else None
+    return observe_drive(name, drive.frame, scans, drive.reference, config, frame, gain)

@@ -18,13 +18,13 @@ from scipy.spatial import KDTree
 from scipy.special import betaln
 
 from polemap.mapping_config import MappingConfig
-from polemap.sightings import Sightings
+from polemap.sightings import Looks, Sightings
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 RANGE_STEP_M = 5.0
-_BINS = 16
+RANGE_BINS = 16
 _BATCH = 2000
 _ESTABLISHED = 10  # sightings in the drive from which a pole's presence is beyond doubt
 _PRIOR_SEEN, _PRIOR_LOOKS = 6.0, 10.0
@@ -47,33 +47,40 @@ class Visibility:
     weight: float
 
 
-def visibility(
-    sightings: Sightings, owner: Whole, points_m: Floats, config: MappingConfig
-) -> Visibility:
-    """Count for every pole `(n, 2)` the looks of a drive that had it in view, and that saw it.
+def reach_of(looks: Looks) -> float:
+    """How far from the car a drive sees at most; zero if its detector does not say."""
+    reach = float(looks.free_range_m.max()) if looks.free_range_m.size else 0.0
+    return reach + float(np.hypot(*looks.origin_vehicle_m.T).max()) if reach > 0.0 else 0.0
+
+
+def count_looks(
+    sightings: Sightings, owner: Whole, points_m: Floats, reach_m: float
+) -> tuple[Whole, Whole]:
+    """Count for every pole `(n, 2)` the looks of a drive that saw it, and that had it in view.
 
     Args:
-        sightings: of the drive.
+        sightings: of the drive, or of those of its looks that could have seen the poles.
         owner: `(len(sightings),)` pole of each sighting, -1 for none.
         points_m: poles `(n, 2)`.
-        config: settings.
+        reach_m: `reach_of` the whole drive.
+
+    Returns:
+        Two arrays `(n, RANGE_BINS)` by range.
     """
     n = len(points_m)
-    seen, expected = np.zeros((n, _BINS), dtype=np.int64), np.zeros((n, _BINS), dtype=np.int64)
+    seen = np.zeros((n, RANGE_BINS), dtype=np.int64)
+    expected = np.zeros((n, RANGE_BINS), dtype=np.int64)
     looks = sightings.looks
-    weight = _look_weight(looks.stamp_s, config)
-    reach = float(looks.free_range_m.max()) if looks.free_range_m.size else 0.0
-    if not n or reach <= 0.0:
+    if not n or reach_m <= 0.0:
         # the detector does not say where it looks: only sightings count
         rows = owner[owner >= 0]
         np.add.at(seen, (rows, _bin(sightings.range_m[owner >= 0])), 1)
-        return Visibility(seen, seen.copy(), weight)
+        return seen, seen.copy()
     tree = KDTree(points_m)
     hits = np.unique(sightings.look[owner >= 0] * n + owner[owner >= 0])
-    reach += float(np.hypot(*looks.origin_vehicle_m.T).max())
     for start in range(0, len(looks), _BATCH):
         batch = np.arange(start, min(start + _BATCH, len(looks)))
-        found: Any = tree.query_ball_point(looks.poses[batch, :2], reach)
+        found: Any = tree.query_ball_point(looks.poses[batch, :2], reach_m)
         look = np.repeat(batch, [len(rows) for rows in found])
         pole = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in found])
         in_view, distance, bearing = looks.sees(look, points_m[pole])
@@ -85,14 +92,15 @@ def visibility(
         column = _bin(distance[free])
         np.add.at(expected, (pole[free], column), 1)
         np.add.at(seen, (pole[free & hit], _bin(distance[free & hit])), 1)
-    return Visibility(seen, expected, weight)
+    return seen, expected
 
 
 def _bin(distance_m: Floats) -> Whole:
-    return np.clip((distance_m // RANGE_STEP_M).astype(np.int64), 0, _BINS - 1)
+    return np.clip((distance_m // RANGE_STEP_M).astype(np.int64), 0, RANGE_BINS - 1)
 
 
-def _look_weight(stamps: Floats, config: MappingConfig) -> float:
+def look_weight(stamps: Floats, config: MappingConfig) -> float:
+    """What one look counts as an independent one."""
     if len(stamps) < 2:
         return 1.0
     return float(min(1.0, np.median(np.diff(stamps)) / config.independent_look_s))
@@ -119,7 +127,7 @@ def _hidden(
 
 def detection_probability(parts: list[Visibility]) -> Floats:
     """Probability by range `(bins,)` that a pole in view is seen, from poles beyond doubt."""
-    seen, expected = np.zeros(_BINS), np.zeros(_BINS)
+    seen, expected = np.zeros(RANGE_BINS), np.zeros(RANGE_BINS)
     for part in parts:
         sure = part.seen.sum(axis=1) >= _ESTABLISHED
         seen += part.seen[sure].sum(axis=0)

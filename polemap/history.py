@@ -28,8 +28,9 @@ COLUMN = "history"
 _PASS = (
     "east_m", "north_m", "var_east_m2", "var_north_m2", "cov_east_north_m2", "reference_sd_m",
     "lever_m", "direction_rad", "width_m", "width_sd_m", "height_m", "observations", "first_s",
-    "last_s", "directions", "range_min_m",
+    "last_s", "directions", "range_min_m", "gain_east_m_per_px", "gain_north_m_per_px",
 )  # fmt: skip
+_PASS_BEFORE = 16  # values of a pass in maps of version 0.1.0, which had no gains
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +99,8 @@ def _pass_values(landmarks: PassLandmarks) -> Floats:
         "var_east_m2": covariance[:, 0, 0],
         "var_north_m2": covariance[:, 1, 1],
         "cov_east_north_m2": covariance[:, 0, 1],
+        "gain_east_m_per_px": landmarks.gain_m_per_px[:, 0],
+        "gain_north_m_per_px": landmarks.gain_m_per_px[:, 1],
     }
     return np.column_stack(
         [columns[n] if n in columns else getattr(landmarks, n).astype(float) for n in _PASS]
@@ -131,7 +134,7 @@ def open_history(pole_map: PoleMap) -> OldMap:
             counts = drives.setdefault(key, Evidence(np.zeros(n), np.zeros(n)))
             counts.seen[pole], counts.looks[pole] = entry["seen"], entry["looks"]
             for values in entry["passes"]:
-                rows.append(values)
+                rows.append([*values, *[0.0] * (len(_PASS) - len(values))])
                 poles.append(pole)
                 names.append(key[1])
                 starts.append(key[0])
@@ -153,7 +156,7 @@ def _entries(text: str, pole: int) -> list[Mapping[str, Any]]:
         for entry in entries:
             float(entry["start_s"]), str(entry["drive"]), float(entry["seen"])
             float(entry["looks"])
-            if any(len(values) != len(_PASS) for values in entry["passes"]):
+            if any(len(v) not in (_PASS_BEFORE, len(_PASS)) for v in entry["passes"]):
                 raise ValueError("a pass has another number of values")
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(
@@ -173,7 +176,7 @@ def _as_pass(pole_map: PoleMap, row: int) -> list[float]:
         float(pole_map.points_m[row, 0]), float(pole_map.points_m[row, 1]),
         float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[0, 1]),
         0.0, 0.0, 0.0, float(pole_map.width_m[row]), np.nan, float(pole_map.height_m[row]),
-        float(max(pole_map.observations[row], 1)), 0.0, 0.0, 0.0, np.nan,
+        float(max(pole_map.observations[row], 1)), 0.0, 0.0, 0.0, np.nan, 0.0, 0.0,
     ]  # fmt: skip
 
 
@@ -191,6 +194,9 @@ def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> PassLa
         start_s=starts,
         points_m=table[:, :2].copy(),
         covariance_m2=covariance,
+        gain_m_per_px=np.column_stack(
+            [column["gain_east_m_per_px"], column["gain_north_m_per_px"]]
+        ),
         observations=column["observations"].astype(np.int64),
         directions=column["directions"].astype(np.int64),
         **{name: column[name] for name in plain},

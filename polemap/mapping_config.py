@@ -17,6 +17,16 @@ class MappingConfig(BaseModel):
     systematic_sd_m: float = Field(
         0.02, ge=0.0, description="Error of a detector that no repetition averages away."
     )
+    disparity_pass_sd_px: float = Field(
+        0.22,
+        ge=0.0,
+        description="Disparity error of a stem that all looks of one pass share (stereo only).",
+    )
+    disparity_common_sd_px: float = Field(
+        0.2,
+        ge=0.0,
+        description="Disparity error that all passes of all drives share (calibration).",
+    )
     range_max_m: float = Field(60.0, gt=0.0, description="Sightings farther away are left out.")
     gate_probability: float = Field(0.997, gt=0.5, lt=1.0, description="Of sightings to a pole.")
     gate_slack_m: float = Field(0.15, ge=0.0, description="Added to the gate within a pass, 1 sd.")

@@ -1,13 +1,17 @@
 """Pass landmarks of all drives to poles: clustering, and fusion with a covariance that holds.
 
-Three errors are kept apart: the detector's (white within a pass, from `passes`), the reference's
-that a pass shares, and the one that a whole drive shares. How large the latter two are is measured
-where passes or drives meet, and taken as the reference states it where they do not.
+Errors are kept apart by what shares them: the detector's (white within a pass, from `passes`), the
+reference's that a pass shares, and the one that a whole drive shares. How large the latter two are
+is measured where passes or drives meet, and taken as the reference states it where they do not.
+A stereo camera's disparity errs too: by a part that all looks of one pass at a stem share, and by
+one (calibration) that everything shares. It moves a pole by its gain, along the mean ray; the
+common part is carried through all means as a parameter that is considered but not estimated
+(Schmidt), so that two passes from opposite sides cancel it and two from one side do not.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,13 +55,21 @@ class Merged:
 def shared_covariance(
     landmarks: PassLandmarks, config: MappingConfig, pass_sd_m: float | None
 ) -> Floats:
-    """What all sightings of a pass have in common, `(n, 2, 2)`: reference and systematic error."""
+    """What all sightings of a pass have in common, `(n, 2, 2)`: reference and systematic errors."""
     sd = landmarks.reference_sd_m if pass_sd_m is None else np.full(len(landmarks), pass_sd_m)
     c, s = np.cos(landmarks.direction_rad), np.sin(landmarks.direction_rad)
     across = np.stack([-s, c], axis=1)
     turn = (config.reference_yaw_sd_rad * landmarks.lever_m)[:, None, None] ** 2
     plain = (sd**2 + config.systematic_sd_m**2)[:, None, None] * np.eye(2)
-    return np.asarray(plain + turn * across[:, :, None] * across[:, None, :])
+    gain = landmarks.gain_m_per_px
+    along = config.disparity_pass_sd_px**2 * gain[:, :, None] * gain[:, None, :]
+    return np.asarray(plain + turn * across[:, :, None] * across[:, None, :] + along)
+
+
+def _common(gain_m_per_px: Floats, config: MappingConfig) -> Floats:
+    """Covariance `(n, 2, 2)` from the disparity error that everything shares."""
+    one = config.disparity_common_sd_px * gain_m_per_px
+    return np.asarray(one[:, :, None] * one[:, None, :])
 
 
 def shared_sd(offset_m: Floats, covariance_m2: Floats, most_m: float) -> float:
@@ -80,14 +92,26 @@ def shared_sd(offset_m: Floats, covariance_m2: Floats, most_m: float) -> float:
     return (low + high) / 2.0
 
 
-def _meetings(landmarks: PassLandmarks, config: MappingConfig, apart: Whole) -> Whole:
+def close_pairs(points_m: Floats, most_m: float) -> Whole:
+    """Pairs `(k, 2)` of points no farther apart, smaller row first.
+
+    Each distance is compared by itself: whole branches of the tree are accepted by their bounds,
+    which may round otherwise where other points stand in it.
+    """
+    if len(points_m) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    pairs = KDTree(points_m).query_pairs(1.000001 * most_m, output_type="ndarray")
+    pairs = np.sort(pairs.reshape(-1, 2).astype(np.int64), axis=1)
+    offset = points_m[pairs[:, 0]] - points_m[pairs[:, 1]]
+    return np.asarray(pairs[np.hypot(offset[:, 0], offset[:, 1]) <= most_m])
+
+
+def meetings(landmarks: PassLandmarks, config: MappingConfig, apart: Whole) -> Whole:
     """Pairs `(k, 2)` of landmarks that are each other's nearest and may be one pole."""
     solid = np.flatnonzero(landmarks.observations >= config.observations_min)
     if len(solid) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    tree = KDTree(landmarks.points_m[solid])
-    pairs = tree.query_pairs(config.merge_max_m, output_type="ndarray")
-    pairs = solid[pairs] if len(pairs) else np.empty((0, 2), dtype=np.int64)
+    pairs = solid[close_pairs(landmarks.points_m[solid], config.merge_max_m)]
     pairs = pairs[~_listed(pairs, apart, len(landmarks))]
     length = np.linalg.norm(
         landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]], axis=1
@@ -96,7 +120,7 @@ def _meetings(landmarks: PassLandmarks, config: MappingConfig, apart: Whole) -> 
     for side in (0, 1):
         np.minimum.at(nearest, pairs[:, side], length)
     mutual = (length <= nearest[pairs[:, 0]]) & (length <= nearest[pairs[:, 1]])
-    return np.asarray(pairs[mutual & (length <= config.merge_max_m)])
+    return np.asarray(pairs[mutual])
 
 
 def _listed(pairs: Whole, listed: Whole, n: int) -> NDArray[np.bool_]:
@@ -107,21 +131,22 @@ def _listed(pairs: Whole, listed: Whole, n: int) -> NDArray[np.bool_]:
 
 
 def measure_reference(
-    landmarks: PassLandmarks, config: MappingConfig, apart: Whole
+    landmarks: PassLandmarks, config: MappingConfig, pairs: Whole
 ) -> ReferenceError:
     """How far passes of a drive, and drives, disagree about the same poles.
 
     Args:
         landmarks: of all drives.
         config: settings.
-        apart: pairs `(k, 2)` (smaller row first) that were seen side by side.
+        pairs: its `meetings` `(k, 2)`.
     """
-    pairs = _meetings(landmarks, config, apart)
     first, second = pairs[:, 0], pairs[:, 1]
     offset = landmarks.points_m[first] - landmarks.points_m[second]
     own = landmarks.covariance_m2[first] + landmarks.covariance_m2[second]
     rest = shared_covariance(landmarks, config, 0.0)
     own = own + rest[first] + rest[second]
+    # what everything shares moves both: only the difference of their gains tells them apart
+    own = own + _common(landmarks.gain_m_per_px[first] - landmarks.gain_m_per_px[second], config)
     same = landmarks.drive[first] == landmarks.drive[second]
     pass_sd = None
     if np.count_nonzero(same) >= _PAIRS_MIN:
@@ -140,24 +165,6 @@ def measure_reference(
     )
 
 
-def merge_passes(
-    landmarks: PassLandmarks, config: MappingConfig, apart: Whole, drive_floor_m: float = 0.0
-) -> Merged:
-    """Join landmarks that are one pole and fuse them; the result does not depend on their order.
-
-    Args:
-        landmarks: of all drives.
-        config: settings.
-        apart: pairs `(k, 2)` of rows, smaller first, that were seen side by side.
-        drive_floor_m: what drives are known to disagree by at least, an axis.
-    """
-    error = measure_reference(landmarks, config, apart)
-    error = replace(error, drive_sd_m=max(error.drive_sd_m, drive_floor_m))
-    owner = cluster(landmarks, config, apart, error)
-    points, covariance = fuse(landmarks, owner, config, error)
-    return Merged(points, covariance, owner, error)
-
-
 def cluster(
     landmarks: PassLandmarks, config: MappingConfig, apart: Whole, error: ReferenceError
 ) -> Whole:
@@ -171,8 +178,8 @@ def cluster(
         return np.empty(0, dtype=np.int64)
     spread = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.pass_sd_m)
     spread = spread + np.eye(2) * (error.drive_sd_m**2 + config.merge_slack_m**2)
-    pairs = KDTree(landmarks.points_m).query_pairs(config.merge_max_m, output_type="ndarray")
-    pairs = np.sort(pairs.reshape(-1, 2), axis=1)
+    spread = spread + _common(landmarks.gain_m_per_px, config)
+    pairs = close_pairs(landmarks.points_m, config.merge_max_m)
     offset = landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]]
     both = spread[pairs[:, 0]] + spread[pairs[:, 1]]
     likeness = np.sum(offset * np.linalg.solve(both, offset[..., None])[..., 0], axis=1)
@@ -185,11 +192,13 @@ def cluster(
     joiner = _Joiner(landmarks.points_m, spread, apart, gate, config.merge_max_m)
     for first, second in pairs[order].tolist():
         joiner.join(first, second)
-    return _number(joiner.roots(), landmarks.points_m)
+    return number_from_south(joiner.roots(), landmarks.points_m)
 
 
-def _number(root: Whole, points: Floats) -> Whole:
+def number_from_south(root: Whole, points: Floats) -> Whole:
     """Clusters renumbered by the place of their southernmost member."""
+    if not len(root):
+        return np.empty(0, dtype=np.int64)
     order = np.lexsort((points[:, 0], points[:, 1]))
     _, first = np.unique(root[order], return_index=True)
     ranked = root[order][np.sort(first)]
@@ -251,24 +260,30 @@ def fuse(
     own = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.pass_sd_m)
     names, drive = np.unique(landmarks.drive, return_inverse=True)
     groups, group = np.unique(owner * len(names) + drive, return_inverse=True)
-    point, covariance = weighted_mean(landmarks.points_m, own, group, len(groups))
+    point, covariance, gain = weighted_mean(
+        landmarks.points_m, own, group, len(groups), landmarks.gain_m_per_px
+    )
     covariance = covariance + np.eye(2) * error.drive_sd_m**2
     poles = groups // len(names)
     clusters = int(owner.max()) + 1 if len(owner) else 0
-    point, covariance = weighted_mean(point, covariance, poles, clusters)
+    point, covariance, gain = weighted_mean(point, covariance, poles, clusters, gain)
     # no repetition averages away what the detector does wrong each time
-    return point, covariance + np.eye(2) * config.systematic_sd_m**2
+    return point, covariance + np.eye(2) * config.systematic_sd_m**2 + _common(gain, config)
 
 
 def weighted_mean(
-    points: Floats, covariance: Floats, group: Whole, n: int
-) -> tuple[Floats, Floats]:
-    """Robust information-weighted mean of each group: `(n, 2)`, `(n, 2, 2)`."""
+    points: Floats, covariance: Floats, group: Whole, n: int, gain: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Robust information-weighted mean of each group: `(n, 2)`, `(n, 2, 2)`.
+
+    The third is what the same mean makes of `gain`, `(len(points), 2)`.
+    """
     information = np.linalg.inv(covariance)
     weight = np.ones(len(points))
     mean: Floats = np.zeros((n, 2))
     total: Floats = np.zeros((n, 2, 2))
     count = np.bincount(group, minlength=n)
+    weighted = information
     for _ in range(6):
         total, vector = np.zeros((n, 2, 2)), np.zeros((n, 2))
         weighted = weight[:, None, None] * information
@@ -281,4 +296,7 @@ def weighted_mean(
         weight = np.where(
             count[group] >= 3, np.minimum(1.0, _HUBER / np.maximum(distance, 1e-12)), 1.0
         )
-    return mean, np.asarray(np.linalg.inv(total), dtype=np.float64)
+    carried = np.zeros((n, 2))
+    np.add.at(carried, group, np.einsum("nij,nj->ni", weighted, gain))
+    carried = np.asarray(np.linalg.solve(total, carried[..., None])[..., 0], dtype=np.float64)
+    return mean, np.asarray(np.linalg.inv(total), dtype=np.float64), carried

@@ -54,14 +54,20 @@ def observe_drive(
     reference: ReferenceStream,
     config: MappingConfig,
     frame: EarthFrame,
+    focal_baseline_px_m: float | None = None,
 ) -> DriveObservations:
     """Sightings and pass landmarks of one drive in the map's frame.
+
+    `focal_baseline_px_m` is the stereo camera's, where one saw the poles: its disparity errs alike
+    in all looks of a pass, which no scatter shows.
 
     Raises:
         InputError: no scan has a reference pose.
         FrameError: no transformation leads from the drive's frame to the map's.
     """
-    sightings = collect_sightings(name, drive_frame, scans, reference, config, frame)
+    sightings = collect_sightings(
+        name, drive_frame, scans, reference, config, frame, focal_baseline_px_m
+    )
     numbers = associate(sightings, config)
     landmarks, rows = average_passes(sightings, numbers)
     return DriveObservations(

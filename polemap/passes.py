@@ -34,6 +34,8 @@ class PassLandmarks:
         points_m: `(n, 2)`.
         covariance_m2: `(n, 2, 2)` of the detector alone.
         reference_sd_m: `(n,)` as the reference states it.
+        gain_m_per_px: `(n, 2)` how far an error of one pixel of disparity, the same in all looks,
+            moves it.
         lever_m: `(n,)` mean range: what the reference's yaw acts on.
         direction_rad: `(n,)` mean direction from the car to the pole, from grid east.
         first_s, last_s: `(n,)` stamps of the first and last sighting.
@@ -46,6 +48,7 @@ class PassLandmarks:
     points_m: Floats
     covariance_m2: Floats
     reference_sd_m: Floats
+    gain_m_per_px: Floats
     lever_m: Floats
     direction_rad: Floats
     width_m: Floats
@@ -185,7 +188,7 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
     """
     present, rows = np.unique(numbers, return_inverse=True)
     n = len(present)
-    point, covariance, weight = _robust_mean(sightings, rows, n)
+    point, covariance, weight, gain = _robust_mean(sightings, rows, n)
     repeats = correlation_length(sightings, rows, point)
     count = np.bincount(rows, minlength=n).astype(np.float64)
     # n sightings are worth n / repeats independent ones, but never less than one
@@ -210,6 +213,7 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
         points_m=point,
         covariance_m2=covariance,
         reference_sd_m=np.bincount(rows, weight * sightings.reference_sd_m, n) / total,
+        gain_m_per_px=gain,
         lever_m=np.bincount(rows, weight * sightings.range_m, n) / total,
         direction_rad=direction,
         width_m=width,
@@ -224,12 +228,15 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
     return landmarks, rows.astype(np.int64)
 
 
-def _robust_mean(sightings: Sightings, rows: Whole, n: int) -> tuple[Floats, Floats, Floats]:
+def _robust_mean(
+    sightings: Sightings, rows: Whole, n: int
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Iteratively reweighted mean (Huber) of points with covariances, for all landmarks at once.
 
     Returns:
         Points `(n, 2)`, covariances `(n, 2, 2)` as if sightings were independent, scaled up where
-        they scatter more than they claim, and the weight of each sighting `(len(rows),)`.
+        they scatter more than they claim, the weight of each sighting `(len(rows),)`, and what the
+        same mean makes of the sightings' gains `(n, 2)`.
     """
     information = np.linalg.inv(sightings.covariance_m2)
     point = (
@@ -237,7 +244,7 @@ def _robust_mean(sightings: Sightings, rows: Whole, n: int) -> tuple[Floats, Flo
         / np.bincount(rows, minlength=n)[:, None]
     )
     weight = np.ones(len(rows))
-    total = np.zeros((n, 2, 2))
+    total, weighted = np.zeros((n, 2, 2)), information
     distance = np.zeros(len(rows))
     for _ in range(8):
         total = np.zeros((n, 2, 2))
@@ -249,10 +256,13 @@ def _robust_mean(sightings: Sightings, rows: Whole, n: int) -> tuple[Floats, Flo
         offset = sightings.points_m - point[rows]
         distance = np.sqrt(np.einsum("ni,nij,nj->n", offset, information, offset))
         weight = np.minimum(1.0, _HUBER / np.maximum(distance, 1e-12))
+    carried = np.zeros((n, 2))
+    np.add.at(carried, rows, np.einsum("nij,nj->ni", weighted, sightings.gain_m_per_px))
+    gain = np.asarray(np.linalg.solve(total, carried[..., None])[..., 0], dtype=np.float64)
     count = np.bincount(rows, minlength=n)
     excess = np.bincount(rows, weight * distance**2, n) / np.maximum(2.0 * (count - 1), 1.0)
     covariance = np.linalg.inv(total) * np.maximum(1.0, excess)[:, None, None]
-    return point, covariance, weight * np.sqrt(np.linalg.det(information))
+    return point, covariance, weight * np.sqrt(np.linalg.det(information)), gain
 
 
 def _median_and_sd(values: Floats, rows: Whole, n: int) -> tuple[Floats, Floats]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,8 @@ class Sightings:
         covariance_m2: `(n, 2, 2)` of the detector alone, in the map's frame.
         direction_rad: from the car to the pole, from grid east.
         reference_sd_m: of the pose it was seen from.
+        gain_m_per_px: `(n, 2)` how far an error of one pixel of disparity moves it; zero where no
+            stereo camera saw it.
     """
 
     drive: str
@@ -85,6 +87,7 @@ class Sightings:
     range_m: Floats
     direction_rad: Floats
     reference_sd_m: Floats
+    gain_m_per_px: Floats
     without_pose: int = 0
 
     def __len__(self) -> int:
@@ -106,6 +109,7 @@ def collect_sightings(
     reference: ReferenceStream,
     config: MappingConfig,
     frame: EarthFrame,
+    focal_baseline_px_m: float | None = None,
 ) -> Sightings:
     """Put the scans of a drive into the map's frame by the reference.
 
@@ -116,6 +120,7 @@ def collect_sightings(
         reference: rear-axle poses; scans outside of it are counted in `without_pose`.
         config: settings.
         frame: the map's frame.
+        focal_baseline_px_m: focal length times baseline of the stereo camera that saw the poles.
 
     Raises:
         InputError: no scan has a reference pose.
@@ -133,7 +138,36 @@ def collect_sightings(
     chosen = [scan for scan, usable in zip(every, known, strict=True) if usable]
     poses = _poses_in(poses[known], drive_frame, frame)
     looks = _looks(stamps[known], poses, chosen)
-    return _rows(drive, frame, chosen, looks, reference, config, int(np.count_nonzero(~known)))
+    sightings = _rows(drive, frame, chosen, looks, reference, config)
+    sightings = replace(sightings, without_pose=int(np.count_nonzero(~known)))
+    if focal_baseline_px_m is None:
+        return sightings
+    return replace(sightings, gain_m_per_px=_disparity_gain(sightings, focal_baseline_px_m))
+
+
+def _disparity_gain(sightings: Sightings, focal_baseline_px_m: float) -> Floats:
+    """Displacement `(n, 2)` a pixel: along the ray from the camera, `r^2 / (f b)`."""
+    looks, row = sightings.looks, sightings.look
+    pose, origin = looks.poses[row], looks.origin_vehicle_m[row]
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    turned = np.stack([c * origin[:, 0] - s * origin[:, 1], s * origin[:, 0] + c * origin[:, 1]])
+    ray = sightings.points_m - pose[:, :2] - turned.T
+    return np.asarray(ray * np.hypot(ray[:, 0], ray[:, 1])[:, None] / focal_baseline_px_m)
+
+
+def take_looks(sightings: Sightings, chosen: NDArray[np.bool_]) -> tuple[Sightings, Whole]:
+    """The drive with some of its looks only, and the rows of the sightings that are left."""
+    taken = np.flatnonzero(chosen[sightings.look])
+    looks = Looks(**{f.name: getattr(sightings.looks, f.name)[chosen] for f in fields(Looks)})
+    plain = ("drive", "frame", "looks", "look", "without_pose")
+    columns = {
+        field.name: getattr(sightings, field.name)[taken]
+        for field in fields(Sightings)
+        if field.name not in plain
+    }
+    number = np.cumsum(chosen) - 1
+    kept = replace(sightings, looks=looks, look=number[sightings.look[taken]], **columns)
+    return kept, taken
 
 
 def _poses_in(poses: Floats, source: EarthFrame, target: EarthFrame) -> Floats:
@@ -173,7 +207,6 @@ def _rows(
     looks: Looks,
     reference: ReferenceStream,
     config: MappingConfig,
-    without_pose: int,
 ) -> Sightings:
     look = np.repeat(np.arange(len(scans)), [len(scan) for scan in scans]).astype(np.int64)
     points = np.concatenate([scan.points_vehicle_m for scan in scans]).reshape(-1, 2)
@@ -203,5 +236,5 @@ def _rows(
         range_m=distance[usable],
         direction_rad=np.arctan2(in_map[:, 1], in_map[:, 0]),
         reference_sd_m=np.where(np.isfinite(sd), sd, config.reference_sd_m),
-        without_pose=without_pose,
+        gain_m_per_px=np.zeros((len(look), 2)),
     )

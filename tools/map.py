@@ -13,7 +13,7 @@ from drivelog.drive import Drive, open_drive
 from drivelog.errors import InputError
 from polemap.build import BuiltMap, assemble_map, build_map, unique_names
 from polemap.city.io import clear
-from polemap.city.work import DriveTask, observe_all
+from polemap.city.work import DriveTask, observe_all, on_workers, open_client
 from polemap.io import check_writable, export_map, read_map, write_map
 from polemap.landmark_map import PoleMap
 from polemap.upkeep import CHANGE, DISTANCE, compare_maps, diff_map
@@ -195,16 +195,20 @@ def _build_apart(
     place: _Place,
 ) -> BuiltMap:
     """The same map by workers, a drive each; what they finished survives a killed run."""
-    with progress(len(drives), "drives") as advance:
-        parts = observe_all(
-            tasks,
-            observe_task,
-            place.checkpoints,
-            workers=place.workers,
-            scheduler=place.scheduler,
-            done=advance,
-        )
-    return assemble_map(parts, settings.polemap.mapping, tasks[0].frame, update=old, align=align)
+    mapping = settings.polemap.mapping
+    with open_client(place.workers, place.scheduler) as client:
+        with progress(len(drives), "drives") as advance:
+            parts = observe_all(tasks, observe_task, place.checkpoints, client=client, done=advance)
+        with progress(None, "merging tiles") as advance:
+            return assemble_map(
+                parts,
+                mapping,
+                tasks[0].frame,
+                update=old,
+                align=align,
+                run=on_workers(client, advance),
+                tile_m=mapping.tile_m,
+            )
 
 
 def _say(built: BuiltMap, drives: list[Drive], out: Path) -> None:

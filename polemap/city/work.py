@@ -1,16 +1,18 @@
 """A task a drive on a Dask cluster; what is done is on the disk, so that a killed run resumes.
 
-The detection in the images takes nearly all of the time and needs nothing but its own drive; it is
-what the workers do. The coordinator merges. Since merging orders drives by their time and breaks
-ties by place, the map is the same, row for row, as that of a single process.
+The detection in the images takes nearly all of the time and needs nothing but its own drive; then
+the merging is spread over the same workers, a task a tile (`tiles`). Since merging orders drives by
+their time, breaks ties by place and never cuts what belongs together, the map is the same, row for
+row, as that of a single process.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +22,7 @@ from drivelog.errors import ConfigError, PolemapError
 from drivelog.frames import EarthFrame
 from polemap import __version__
 from polemap.city.io import read_checkpoint, write_checkpoint
+from polemap.city.tiles import Run
 from polemap.observe import DriveObservations
 
 _RETRIES = 2
@@ -61,6 +64,7 @@ def observe_all(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    client: Any = None,
     done: Callable[[int], None] | None = None,
 ) -> list[DriveObservations]:
     """What every drive contributes, computed in parallel, taken from checkpoints where it can be.
@@ -71,6 +75,7 @@ def observe_all(
         checkpoints: folder for the checkpoints.
         workers: local processes, where no scheduler is named.
         scheduler: address of a Dask scheduler, such as tcp://host:8786.
+        client: an `open_client` to use instead of one of its own.
         done: is called with 1 after every drive.
 
     Raises:
@@ -88,8 +93,10 @@ def observe_all(
         if done is not None:
             done(1)
     if open_tasks:
-        with _client(workers, scheduler, len(open_tasks)) as client:
-            for key, part in _run(client, open_tasks, observe):
+        count = min(workers or 1, len(open_tasks))
+        own = open_client(count, scheduler) if client is None else nullcontext(client)
+        with own as opened:
+            for key, part in _run(opened, open_tasks, observe):
                 write_checkpoint(part, key, checkpoints / f"{key}.npz")
                 results[key] = part
                 if done is not None:
@@ -121,8 +128,34 @@ def _distributed() -> Any:
     return import_module("dask.distributed")
 
 
+def on_workers(client: Any, done: Callable[[int], None] | None = None) -> Run:
+    """Runs the tasks of tiles on the workers of an `open_client`.
+
+    Args:
+        client: whose workers are to do it; the tasks of one that is lost go to others.
+        done: is called with 1 after every task.
+    """
+
+    def run(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
+        with warnings.catch_warnings():
+            # a tile's landmarks and looks are what the task is about, however large
+            warnings.filterwarnings("ignore", message="Sending large graph")
+            futures = [client.submit(function, t, pure=False, retries=_RETRIES) for t in tasks]
+        for _ in _distributed().as_completed(futures):
+            if done is not None:
+                done(1)
+        return list(client.gather(futures))
+
+    return run
+
+
 @contextmanager
-def _client(workers: int | None, scheduler: str | None, tasks: int) -> Iterator[Any]:
+def open_client(workers: int | None, scheduler: str | None = None) -> Iterator[Any]:
+    """A Dask client: of the named scheduler, else of a cluster of local processes.
+
+    Raises:
+        ConfigError: the scheduler cannot be reached.
+    """
     distributed = _distributed()
     if scheduler is not None:
         try:
@@ -132,10 +165,9 @@ def _client(workers: int | None, scheduler: str | None, tasks: int) -> Iterator[
         with client:
             yield client
         return
-    count = max(1, min(workers or 1, tasks))
     with (
         distributed.LocalCluster(
-            n_workers=count,
+            n_workers=max(1, workers or 1),
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,

@@ -7,7 +7,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +18,7 @@ import pytest
 from drivelog.errors import ConfigError, InputError
 from polemap.assemble import assemble_map
 from polemap.city.io import clear, read_checkpoint, write_checkpoint
-from polemap.city.work import observe_all
+from polemap.city.work import observe_all, on_workers, open_client
 from polemap.landmark_map import PoleMap
 from polemap.mapping_config import MappingConfig
 from polemap.observe import DriveObservations
@@ -96,6 +99,28 @@ def test_a_killed_coordinator_is_resumed(tmp_path: Path, single: PoleMap) -> Non
     assert city_tasks.calls(tmp_path, "day 1") == 1
     assert city_tasks.calls(tmp_path, "day 2") == 1
     assert_same_rows(single, mapped(parts))
+
+
+@pytest.mark.slow
+def test_tiles_are_merged_on_a_cluster_that_loses_workers(tmp_path: Path, single: PoleMap) -> None:
+    """Drives and tiles on one cluster; a worker dies in each of the two rounds over the tiles."""
+    config, merged = MappingConfig(), []
+    with open_client(2) as client:
+        parts = observe_all(
+            city_tasks.tasks(tmp_path), city_tasks.observe, tmp_path / "c", client=client
+        )
+        workers = on_workers(client, merged.append)
+
+        def run(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
+            return workers(partial(city_tasks.die_once, function, tmp_path), tasks)
+
+        tiled = assemble_map(parts[::-1], config, FRAME, run=run, tile_m=40.0).pole_map
+    assert len(merged) > 10
+    assert {path.name for path in tmp_path.glob("*.begun")} == {
+        "meet_tile.begun",
+        "merge_tile.begun",
+    }
+    assert_same_rows(single, tiled)
 
 
 @pytest.mark.slow

@@ -26,6 +26,8 @@ SPEED_MPS = 10.0
 RANGE_M = 30.0
 HALF_VIEW_RAD = 0.6
 ERROR_TIME_S = 0.3
+FOCAL_BASELINE_PX_M = 247.0
+PASS_GAP_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,7 @@ def drive_through(
     shift_m: Floats | None = None,
     vans: int = 10,
     clutter: float = 0.3,
+    disparity_bias_px: tuple[float, float] | None = None,
 ) -> DriveThrough:
     """One drive: every look sees poles in view by chance, with noise, and some that are none.
 
@@ -133,6 +136,7 @@ def drive_through(
         shift_m: `(2,)` by which the whole reference is off.
         vans: things that stand there for this drive only.
         clutter: chance detections a look.
+        disparity_bias_px: error of every disparity, and sd of what each pass at a pole adds to it.
     """
     poses = route() if poses is None else poses
     stamps = start_s + np.arange(len(poses)) / RATE_HZ
@@ -141,6 +145,7 @@ def drive_through(
     width = np.concatenate([town.width_m, np.full(vans, 0.15)])
     seen = np.concatenate([town.visibility, np.full(vans, 0.7)])
     last = np.zeros((len(points), 2))
+    bias = _PassBias(len(points), disparity_bias_px)
     keep = np.exp(-1.0 / (RATE_HZ * ERROR_TIME_S))
     view = VisibleRegion(
         np.array([1.5, 0.0]), -HALF_VIEW_RAD, HALF_VIEW_RAD, 3.0, np.array([RANGE_M])
@@ -149,13 +154,32 @@ def drive_through(
     for stamp, pose in zip(stamps, poses, strict=True):
         # white in unit variance, but alike from frame to frame
         last = keep * last + np.sqrt(1 - keep**2) * rng.standard_normal(last.shape)
-        scans.append(_look(stamp, pose, points, width, seen, last, view, clutter, rng))
+        scans.append(_look(stamp, pose, points, width, seen, last, view, clutter, bias, rng))
     offset = np.zeros(2) if shift_m is None else shift_m
     error = gauss_markov(len(poses), reference_sd_m, reference_time_s, rng) + offset
     measured = poses + np.column_stack([error, 0.001 * rng.standard_normal(len(poses))])
     return DriveThrough(
         scans, ReferenceStream(stamps, measured, np.full(len(poses), reference_sd_m)), poses
     )
+
+
+class _PassBias:
+    """What a stereo camera's disparity is off at each pole: alike in all looks of one pass."""
+
+    def __init__(self, poles: int, bias_px: tuple[float, float] | None) -> None:
+        self._common_px, self._sd_px = bias_px or (0.0, 0.0)
+        self._off = bias_px is None
+        self._bias_px = np.zeros(poles)
+        self._last_s = np.full(poles, -np.inf)
+
+    def at(self, poles: NDArray[np.int64], stamp_s: float, rng: np.random.Generator) -> Floats:
+        """Error of the disparities `(k,)` of poles that are seen now."""
+        if self._off:
+            return np.zeros(len(poles))
+        fresh = poles[self._last_s[poles] < stamp_s - PASS_GAP_S]
+        self._bias_px[fresh] = self._common_px + self._sd_px * rng.standard_normal(len(fresh))
+        self._last_s[poles] = stamp_s
+        return self._bias_px[poles]
 
 
 def gauss_markov(n: int, sd: float, time_s: float, rng: np.random.Generator) -> Floats:
@@ -176,6 +200,7 @@ def _look(
     error: Floats,
     view: VisibleRegion,
     clutter: float,
+    bias: _PassBias,
     rng: np.random.Generator,
 ) -> PoleScan:
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -200,6 +225,10 @@ def _look(
     ray = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     side = np.stack([-ray[:, 1], ray[:, 0]], axis=1)
     measured = local + ray * (along * unit[:, 0])[:, None] + side * (across * unit[:, 1])[:, None]
+    offset = local[: len(close)] - view.origin_vehicle_m
+    far = np.hypot(*offset.T)
+    moved = far / FOCAL_BASELINE_PX_M * bias.at(close, stamp, rng)
+    measured[: len(close)] += offset * moved[:, None]
     covariance = (along**2)[:, None, None] * ray[:, :, None] * ray[:, None, :]
     covariance = covariance + (across**2)[:, None, None] * side[:, :, None] * side[:, None, :]
     n = len(local)
