@@ -134,17 +134,24 @@ class Drive:
         )
 
     def lap(self, name: str) -> Drive:
-        """The part of the drive that a row of laps.csv names.
+        """The part of the drive that a row of laps.csv names, or two rows as FIRST:LAST.
 
         Raises:
-            InputError: no lap of that name.
+            InputError: no lap of that name, or the last ends before the first begins.
         """
-        for lap in self.laps:
-            if lap.name == name:
-                part = self.between(lap.start_s, lap.end_s)
-                return replace(part, name=f"{self.name}:{lap.name}", laps=(lap,))
-        known = ", ".join(lap.name for lap in self.laps) or "none"
-        raise InputError(f"drive {self.name}: no lap is called '{name}'; its laps are: {known}")
+        named = {lap.name: lap for lap in reversed(self.laps)}
+        ends = [name, name] if name in named or ":" not in name else name.split(":", 1)
+        missing = next((end for end in ends if end not in named), None)
+        if missing is not None:
+            known = ", ".join(lap.name for lap in self.laps) or "none"
+            raise InputError(
+                f"drive {self.name}: no lap is called '{missing}'; its laps are: {known}"
+            )
+        start_s, end_s = named[ends[0]].start_s, named[ends[1]].end_s
+        if end_s <= start_s:
+            raise InputError(f"drive {self.name}: lap '{ends[1]}' ends before '{ends[0]}' begins")
+        laps = tuple(lap for lap in self.laps if start_s <= lap.start_s and lap.end_s <= end_s)
+        return replace(self.between(start_s, end_s), name=f"{self.name}:{name}", laps=laps)
 
     def between(self, start_s: float, end_s: float) -> Drive:
         """The part from `start_s` up to but without `end_s`, in every stream."""

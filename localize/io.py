@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ HEALTH_COLUMNS = (
     "stamp_s", "matched", "seen", "in_view", "n_eff", "position_sd_major_m",
     "position_sd_minor_m", "exploration_ratio", "gate", "lag_s", "particles", "modes",
     "match_share", "healthy", "event", "yaw_sd_rad", "yaw_rate_offset_radps", "speed_scale",
+    "nis",
 )  # fmt: skip
 OUTPUT_COLUMNS = (
     "stamp_s", "speed_mps", "yaw_rate_radps", "var_east_m2", "var_north_m2", "cov_east_north_m2",
@@ -28,14 +30,25 @@ OUTPUT_COLUMNS = (
 )  # fmt: skip
 
 
-def write_run(folder: Path, run: Run, config: Mapping[str, Any]) -> None:
-    """Write the files of CONTRACT.md into a folder that exists."""
+def write_run(
+    folder: Path,
+    run: Run,
+    config: Mapping[str, Any],
+    looked_s: Mapping[str, Mapping[float, float]] | None = None,
+) -> None:
+    """Write the files of CONTRACT.md into a folder that exists, and timing.csv of a timed run.
+
+    Args:
+        looked_s: seconds that each stage before the particle filter took, by the scan's stamp.
+    """
     write_tum(folder / "pf.tum", run.pf)
     write_tum(folder / "kf.tum", run.kf)
     _write_health(folder / "health.csv", run)
     _write_output(folder / "output.csv", run)
     write_config(folder / "config.yaml", config)
     write_metrics(folder / "metrics.json", run.metrics)
+    if any(isfinite(update.update_s) for update in run.updates):
+        _write_timing(folder / "timing.csv", run, looked_s or {})
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -102,9 +115,22 @@ def _write_health(path: Path, run: Run) -> None:
                 update.decision, update.taken_s - health.stamp_s, health.particles,
                 health.modes, health.match_share, int(estimate.healthy), estimate.event or "",
                 float(np.sqrt(estimate.covariance[2, 2])), health.yaw_rate_offset_radps,
-                health.speed_scale,
+                health.speed_scale, update.nis if isfinite(update.nis) else "",
             )  # fmt: skip
             file.write(",".join(map(_number, row)) + "\n")
+
+
+def _write_timing(path: Path, run: Run, looked_s: Mapping[str, Mapping[float, float]]) -> None:
+    """Milliseconds of every stage at every update; an empty cell is a stage that did not run."""
+    names = [*looked_s, "particle_filter", "output_pose"]
+    with atomic_file(path) as part, part.open("w", encoding="utf-8") as file:
+        file.write(",".join(["stamp_s", *(f"{name}_ms" for name in names)]) + "\n")
+        for update in sorted(run.updates, key=lambda update: update.estimate.stamp_s):
+            stamp_s = update.estimate.stamp_s
+            spent = [*(stage.get(stamp_s, nan) for stage in looked_s.values())]
+            spent += [update.update_s, update.offer_s]
+            cells = [f"{1e3 * value:.4f}" if isfinite(value) else "" for value in spent]
+            file.write(",".join([_number(stamp_s), *cells]) + "\n")
 
 
 def _write_output(path: Path, run: Run) -> None:

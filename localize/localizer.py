@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
+from math import nan
 from threading import Lock
 from typing import TYPE_CHECKING, Protocol
 
@@ -46,12 +47,18 @@ class PoseUpdate:
     """A pose of the particle filter and what became of it.
 
     `decision`: "accepted", "ignored", "inflated", "vetoed", "reinitialized", "started",
-    "not_offered:REASON" or "dropped:REASON". `taken_s` is when the output filter got it.
+    "not_offered:REASON" or "dropped:REASON". `taken_s` is when the output filter got it, `nis` its
+    squared Mahalanobis distance there (three degrees of freedom; NaN where none was computed).
+    With a clock, `update_s` and `offer_s` are the time that the particle filter took to come to it
+    and the output filter to take it in.
     """
 
     estimate: PfEstimate
     decision: str
     taken_s: float
+    nis: float = nan
+    update_s: float = nan
+    offer_s: float = nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +134,7 @@ class Localizer:
         self._clock = clock
         self._clocks = {name: StreamClock(config.output) for name in STREAMS}
         self._inbox: deque[OdometrySample | GnssFix] = deque(maxlen=20_000)
-        self._pending: list[tuple[float, int, PfEstimate]] = []
+        self._pending: list[tuple[float, int, PfEstimate, float]] = []
         self._numbers = count()
         # the slow half (perception, particles) and the fast half (output filter) lock apart
         self._slow, self._fast = Lock(), Lock()
@@ -224,38 +231,39 @@ class Localizer:
         if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
             self.counts[f"{stream}_{placed.value}"] += 1
 
-    def _hold(self, estimate: PfEstimate, arrival_s: float) -> None:
+    def _hold(self, estimate: PfEstimate, arrival_s: float, update_s: float = nan) -> None:
         """Keep a pose until it would have been computed."""
         taken = arrival_s + self._delay_s
-        heapq.heappush(self._pending, (taken, next(self._numbers), estimate))
+        heapq.heappush(self._pending, (taken, next(self._numbers), estimate, update_s))
         self._release(arrival_s)
 
     def _release(self, now_s: float) -> None:
         """Give the output filter the poses that have been computed by `now_s`."""
         while self._pending and self._pending[0][0] <= now_s:
-            taken, _, estimate = heapq.heappop(self._pending)
-            decision = self._offer(estimate)
+            taken, _, estimate, update_s = heapq.heappop(self._pending)
+            verdict = self._offer(estimate)
             if self._on_update is not None:
-                self._on_update(PoseUpdate(estimate, decision, taken))
+                decision, nis, offer_s = verdict
+                self._on_update(PoseUpdate(estimate, decision, taken, nis, update_s, offer_s))
 
-    def _offer(self, estimate: PfEstimate) -> str:
-        """Let the filter's health and then the gate decide."""
+    def _offer(self, estimate: PfEstimate) -> tuple[str, float, float]:
+        """Let the filter's health and then the gate decide; decision, NIS and time spent."""
         problem = usable_pose(estimate.stamp_s, estimate.pose, estimate.covariance)
         if problem is not None:
             self.counts[f"pose_{problem}"] += 1
-            return f"dropped:{problem}"
+            return f"dropped:{problem}", nan, nan
         reason = self._not_offered(estimate)
         if reason is not None:
             self.counts[f"not_offered_{reason}"] += 1
-            return f"not_offered:{reason}"
+            return f"not_offered:{reason}", nan, nan
         with self._timed("output_pose"):
             placed = self._filter.pose(estimate.stamp_s, estimate.pose, estimate.covariance)
         if placed is Placement.TOO_OLD:
             self.counts["late_dropped"] += 1
         self._count("pose", placed)
         if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
-            return f"dropped:{placed.value}"
-        return self._filter.decision_at(estimate.stamp_s)
+            return f"dropped:{placed.value}", nan, self._last_s("output_pose")
+        return *self._filter.verdict_at(estimate.stamp_s), self._last_s("output_pose")
 
     def _not_offered(self, estimate: PfEstimate) -> str | None:
         config = self._config
@@ -291,12 +299,13 @@ class Localizer:
             scan = self._look(replace(sample, stamp_s=stamp))
             with self._timed("particle_filter"):
                 estimate = self._particle_filter.update(scan)
+            spent_s = self._last_s("particle_filter")
             learned = _Learned.of(self._particle_filter)
         if estimate is None:
             return None
         with self._fast:
             self._learned = learned
-            self._hold(estimate, sample.arrival_s)
+            self._hold(estimate, sample.arrival_s, spent_s)
         return estimate
 
     def _look(self, sample: PoleScan | StereoFrame) -> PoleScan:
@@ -317,3 +326,7 @@ class Localizer:
             yield
         finally:
             self.timings_s.setdefault(stage, []).append(self._clock() - begin)
+
+    def _last_s(self, stage: str) -> float:
+        """The time that the last call of a stage took; NaN without a clock."""
+        return self.timings_s[stage][-1] if self._clock is not None else nan

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from math import cos, exp, isfinite, sin
+from math import cos, exp, isfinite, nan, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,9 +147,13 @@ class OutputFilter:
         """The state after the newest event."""
         return self._buffer.state
 
-    def decision_at(self, stamp_s: float) -> str:
-        """What became of the last pose at or before `stamp_s`."""
-        return self._buffer.state_at(stamp_s).decision
+    def verdict_at(self, stamp_s: float) -> tuple[str, float]:
+        """What became of the last pose at or before `stamp_s`, and its NIS (three dimensions).
+
+        The NIS is NaN for a pose that started the filter.
+        """
+        state = self._buffer.state_at(stamp_s)
+        return state.decision, state.nis
 
     def at(self, stamp_s: float) -> FilterState:
         """Open-loop prediction from the last event at or before `stamp_s`.
@@ -194,7 +198,9 @@ class OutputFilter:
         if state.last_pose_s == _NEVER:
             # GNSS has started the filter, poles know better: the first pose that fits takes over
             counts = counts._replace(takeovers=counts.takeovers + 1)
-            return moved(state, event.pose, event.upper)._replace(counts=counts, decision="started")
+            return moved(state, event.pose, event.upper)._replace(
+                counts=counts, decision="started", nis=nan
+            )
         weight, shared = noise, config.pose_errors == "shared"
         if shared:
             least = 1.0 - exp((state.last_pose_s - state.stamp_s) / config.pose_follow_s)

@@ -89,6 +89,14 @@ def test_laps_cut_every_stream(folder: Path) -> None:
     assert one.read_frame(1).index == 1
     with pytest.raises(InputError, match="no lap is called 'three'; its laps are: one, two"):
         drive.lap("three")
+    both = drive.lap("one:two")
+    assert both.odometry is not None
+    assert len(both.odometry) == 40
+    assert [lap.name for lap in both.laps] == ["one", "two"]
+    with pytest.raises(InputError, match="lap 'one' ends before 'two' begins"):
+        drive.lap("two:one")
+    with pytest.raises(InputError, match="no lap is called 'three'"):
+        drive.lap("one:three")
 
 
 def test_a_copy_is_the_same_drive(folder: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from localize.localizer import Localizer
 from localize.output_config import OutputConfig
 from simulate.point_drive import PointNoise
 from simulate.pole_street import pole_street
+from vehicle.kalman import chi_square_gate
 from vehicle.pose import Pose2D
 
 CONFIG = LocalizeConfig(particles=300)
@@ -202,7 +203,7 @@ def test_poses_whose_covariance_is_none_are_dropped(street):
             broken = replace(estimate, covariance=-np.eye(3))
             break
     assert broken is not None
-    assert localizer._offer(broken) == "dropped:bad_covariance"
+    assert localizer._offer(broken)[0] == "dropped:bad_covariance"
     assert localizer.summary()["pose_bad_covariance"] == 1
     after = localizer.pose(samples[599].arrival_s + 0.02)
     assert before is not None
@@ -226,6 +227,12 @@ def test_updates_are_told_with_their_fate(street):
         "not_offered",
         "dropped",
     }
+    # three degrees of freedom: a pose is taken below the gate, and ignored above it
+    limit = chi_square_gate(LocalizeConfig().output.pose_gate, 3)
+    assert all(0.0 < u.nis <= limit for u in updates if u.decision == "accepted")
+    assert all(u.nis > limit for u in updates if u.decision in ("ignored", "inflated"))
+    assert all(math.isnan(u.nis) for u in updates if u.decision[:3] in ("not", "dro", "sta"))
+    assert all(math.isnan(u.update_s) and math.isnan(u.offer_s) for u in updates)
 
 
 def test_two_threads_may_push_and_ask(street):

@@ -91,7 +91,7 @@ def test_poles_beat_dead_reckoning(street, run):
     assert without.metrics["kf"]["position_median_m"] > run.metrics["kf"]["position_median_m"]
 
 
-def test_timings_come_from_the_clock_that_is_given(street):
+def test_timings_come_from_the_clock_that_is_given(street, tmp_path):
     ticking = iter(range(10**9))
     run = replay(
         street.drive,
@@ -105,6 +105,17 @@ def test_timings_come_from_the_clock_that_is_given(street):
     assert timing["particle_filter"]["median"] == pytest.approx(1.0)
     assert timing["output_tick"]["calls"] > 100
     assert run.metrics["replay_s"] > 0
+    looked = {"disparity": {scan.stamp_s: 0.02 for scan in street.scans[1:10]}}
+    write_run(tmp_path, run, {}, looked)
+    header, *rows = (tmp_path / "timing.csv").read_text().splitlines()
+    assert header == "stamp_s,disparity_ms,particle_filter_ms,output_pose_ms"
+    assert len(rows) == len(run.updates)
+    cells = [row.split(",") for row in rows]
+    assert [float(row[0]) for row in cells] == sorted(u.estimate.stamp_s for u in run.updates)
+    first = street.scans[0].stamp_s
+    assert {row[1] for row in cells if float(row[0]) != first} == {"20.0000"}
+    assert {row[1] for row in cells if float(row[0]) == first} <= {""}
+    assert {row[2] for row in cells} == {"1.0000"}
 
 
 def test_a_map_of_another_frame_is_refused(street):
@@ -163,6 +174,11 @@ def test_a_run_folder_holds_what_the_contract_says(run, tmp_path):
     assert header == ",".join(HEALTH_COLUMNS)
     assert len(rows) == len(run.updates)
     assert all(row.count(",") == header.count(",") for row in rows)
+    place = HEALTH_COLUMNS.index("nis")
+    told = [row.split(",")[place] for row in rows]
+    known = [u.nis for u in sorted(run.updates, key=lambda u: u.estimate.stamp_s)]
+    assert [float(cell or "nan") for cell in told] == pytest.approx(known, nan_ok=True)
+    assert sum(cell != "" for cell in told) > len(rows) / 2
     assert json.loads((tmp_path / "metrics.json").read_text())["updates"] == len(run.updates)
     assert yaml.safe_load((tmp_path / "config.yaml").read_text())["seed"] == 5
 

@@ -51,6 +51,10 @@ def command(
     workers: Annotated[
         int | None, typer.Option("--workers", min=1, help="Processes of a sweep; default: cores.")
     ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option("--cache", help="Of a sweep, as in localize; default: OUT/cache."),
+    ] = None,
     latex: Annotated[bool, typer.Option("--latex", help="Write tables.tex too.")] = False,
     seed: SeedOption = 0,
 ) -> None:
@@ -63,8 +67,8 @@ def command(
         polemap report runs/campus --add mine=slam.tum --exclude 410:450 --out report
 
     Runs over the same course are one route; a route driven at least twice in one direction gets a
-    repeatability. docs/repeatability.md defines every figure. A sweep keeps its replays in
-    OUT/cache: a killed one goes on where it was.
+    repeatability. docs/repeatability.md defines every figure. A sweep keeps what it finds in a
+    cache: a killed one goes on where it was.
     """
     intervals = [parse_interval(text) for text in exclude or []]
     swept = [parse_sweep(text) for text in sweep or []]
@@ -79,7 +83,9 @@ def command(
     output = NO_SWEEPS
     if swept:
         cores = workers or cpu_count() or 1
-        found = run_sweeps(results, swept, out / "cache", sweep_runs, seed, cores, progress)
+        found = run_sweeps(
+            results, swept, cache or out / "cache", sweep_runs, seed, cores, progress
+        )
         output = sweep_output(*found)
     write_report(results, out, output, latex=latex, seed=seed)
     typer.echo(screen_table(results))

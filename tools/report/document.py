@@ -11,7 +11,7 @@ import numpy as np
 
 from tools.report.results import RouteResult, SystemResult
 from tools.report.route_tables import passes_text, poles_per_km, route_type
-from tools.report.run_tables import EVENTS, latency_ms, perception_ms, runs_of
+from tools.report.run_tables import EVENTS, latency_ms, runs_of, whole_update_ms
 from tools.report.tables import Table
 
 FORMAT_VERSION = 1
@@ -170,12 +170,14 @@ def _timing(result: RouteResult) -> dict[str, Any]:
             stage: {key: float(np.median(values)) for key, values in figures.items()}
             for stage, figures in stages.items()
         },
-        "perception_mean_ms": perception_ms(runs),
-        "latency_ms": None
-        if lag is None
-        else dict(zip(("median", "p95", "p99"), lag, strict=True)),
+        "whole_update_ms": _quantiles(whole_update_ms(runs)),
+        "latency_ms": _quantiles(lag),
         "real_time_factor": float(np.median(known)) if known else None,
     }
+
+
+def _quantiles(values: tuple[float, float, float] | None) -> dict[str, float] | None:
+    return None if values is None else dict(zip(("median", "p95", "p99"), values, strict=True))
 
 
 def _events(result: RouteResult) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivelog.errors import ConfigError
 from tools.report.localizability import localizability, stereo_sensor
 from tools.report.results import RouteResult, SystemResult
-from tools.report.run_tables import runs_of
+from tools.report.run_tables import STAGE_NAMES, runs_of
 from tools.report.style import (
     COLOURS,
     FAINT,
@@ -228,7 +228,7 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
 def timing_picture(result: RouteResult, key: str) -> Picture | None:
     """Histogram of the time an update takes by stage, or its quantiles where only they exist."""
     runs = [run for group in runs_of(result, result.route.setting_names[0]) for run in group]
-    columns = {n: v for n, v in runs[0].timings.items() if n not in ("stamp_s", "stamp", "frame")}
+    columns = [name for name in runs[0].timings if name.endswith("_ms")]
     if columns:
         with drawing(8.0, 3.0) as figure:
             axes = figure.add_subplot()
@@ -238,9 +238,9 @@ def timing_picture(result: RouteResult, key: str) -> Picture | None:
                 if len(good) == 0:
                     continue
                 bins = np.geomspace(max(good.min(), 1e-3), good.max() * 1.01, 60)
-                axes.hist(
-                    good, bins.tolist(), histtype="step", color=LAPS[number % len(LAPS)], label=name
-                )
+                label = STAGE_NAMES.get(name[:-3], name[:-3])
+                colour = LAPS[number % len(LAPS)]
+                axes.hist(good, bins.tolist(), histtype="step", color=colour, label=label)
             plain_log(axes)
             tidy(axes, "time of an update [ms]", "updates")
             axes.legend(fontsize=8)

@@ -88,7 +88,7 @@ class Route:
             laps = recording.drive.laps if recording.drive else ()
             start, end = float(recording.guide.stamp_s[0]), float(recording.guide.stamp_s[-1])
             lap_name = recording.main.lap
-            if lap_name is not None:
+            if lap_name is not None and ":" not in lap_name:
                 spans.append(Span(source, start, end, lap_name))
                 continue
             several = len(self.recordings) > 1

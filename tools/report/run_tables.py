@@ -5,12 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tools.report.exclusions import START_UP_S
 from tools.report.results import RouteResult, SystemResult
 from tools.report.runs import Run
 from tools.report.tables import Table, number, with_spread
 
+# The stages of metrics.json and timing.csv, in the order of the data.
+STAGE_NAMES = {
+    "disparity": "disparity",
+    "detection": "detection",
+    "tracking": "tracking",
+    "perception": "all of perception",
+    "particle_filter": "particle filter, an update",
+    "output_pose": "output filter, a pose taken in",
+    "output_odometry": "output filter, an odometry sample",
+    "output_tick": "output filter, a pose given out",
+}
 EVENTS = ("reinitializations", "exploration_events", "gate_rejections", "late_dropped")
 
 
@@ -104,16 +116,15 @@ def timing_table(results: Sequence[RouteResult], machine: str) -> Table:
             for stage, figures in run.metrics.get("timing_ms", {}).items():
                 if isinstance(figures, Mapping):
                     stages.setdefault(stage, []).append(figures)
-        for stage, found in stages.items():
-            rows.append((result.route.name, stage, *_quantiles(found)))
-        lag = latency_ms(runs)
-        if lag is not None:
-            rows.append((result.route.name, "latency of the pose", *(number(v, 2) for v in lag)))
-        looking = perception_ms(runs)
-        if looking is not None:
-            rows.append(
-                (result.route.name, "perception (mean a frame)", number(looking, 2), "–", "–")
-            )
+        for stage in [*(s for s in STAGE_NAMES if s in stages), *(stages.keys() - STAGE_NAMES)]:
+            name = STAGE_NAMES.get(stage, stage)
+            rows.append((result.route.name, name, *_quantiles(stages[stage])))
+        for name, quantiles in (
+            ("picture to pose, all stages", whole_update_ms(runs)),
+            ("latency of the pose", latency_ms(runs)),
+        ):
+            if quantiles is not None:
+                rows.append((result.route.name, name, *(number(v, 2) for v in quantiles)))
         factors = [
             run.metrics["real_time_factor"] for run in runs if "real_time_factor" in run.metrics
         ]
@@ -133,7 +144,9 @@ def timing_table(results: Sequence[RouteResult], machine: str) -> Table:
         "Processing times",
         ("Route", "Stage", "Median [ms]", "p95 [ms]", "p99 [ms]"),
         tuple(rows),
-        f"Medians over the runs. Machine: {where}.",
+        "Quantiles over the calls of a run, median over the runs. Picture to pose: computing time "
+        "of an update through all stages. Latency: age of a particle-filter pose when the output "
+        f"filter gets it, by the stamps of the drive. Machine: {where}.",
         text_columns=2,
     )
 
@@ -147,21 +160,24 @@ def runs_of(result: RouteResult, setting: str) -> list[list[Run]]:
 def latency_ms(runs: Sequence[Run]) -> tuple[float, float, float] | None:
     """Median, p95 and p99 of the age of a pose when it reaches the output filter."""
     lags = [run.health_numbers("lag_s", "lag") for run in runs]
-    values = np.concatenate(
-        [lag[np.isfinite(lag)] for lag in lags if lag is not None] or [np.empty(0)]
-    )
-    if len(values) == 0:
+    return _pooled([1e3 * lag for lag in lags if lag is not None])
+
+
+def whole_update_ms(runs: Sequence[Run]) -> tuple[float, float, float] | None:
+    """Median, p95 and p99 of the computing time from the pictures to the pose taken in.
+
+    Of updates that went through every stage of timing.csv.
+    """
+    kept = [run.timings for run in runs if run.timings]
+    return _pooled([np.sum([v for n, v in t.items() if n.endswith("_ms")], axis=0) for t in kept])
+
+
+def _pooled(values: Sequence[NDArray[np.float64]]) -> tuple[float, float, float] | None:
+    joined = np.concatenate([one[np.isfinite(one)] for one in values] or [np.empty(0)])
+    if len(joined) == 0:
         return None
-    median, p95, p99 = (float(v) for v in 1e3 * np.quantile(values, [0.5, 0.95, 0.99]))
+    median, p95, p99 = (float(v) for v in np.quantile(joined, [0.5, 0.95, 0.99]))
     return (median, p95, p99)
-
-
-def perception_ms(runs: Sequence[Run]) -> float | None:
-    """Mean time a frame took from the images to the tracked poles."""
-    spent = [run.metrics.get("perception_s") for run in runs]
-    frames = [run.metrics.get("updates") for run in runs]
-    values = [1e3 * s / n for s, n in zip(spent, frames, strict=True) if s and n]
-    return float(np.median(values)) if values else None
 
 
 def _over_runs(one: SystemResult, key: str, scale: float = 1.0, digits: int = 3) -> str:

@@ -10,27 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from drivelog.drive import Drive
 from drivelog.errors import InputError, PolemapError
+from polemap import __version__
+from tools.looking import LookJob, Source, do_look, look_jobs, run_jobs, what_is_seen_by
 from tools.report.evaluate import measure
 from tools.report.results import RouteResult, System, SystemResult
 from tools.report.routes import Recording
 from tools.report.runs import Run
-from tools.report.scan_cache import drive_fingerprint, fingerprint
-from tools.report.sweep_jobs import (
-    FRAMES_A_TASK,
-    DetectJob,
-    Input,
-    ReplayJob,
-    open_input,
-    read_result,
-    run_jobs,
-)
+from tools.report.sweep_jobs import ReplayJob, do_replay, read_result, thinned
 from tools.report.sweep_spec import Sweep, SweepValue, settings_of
-from tools.settings import Settings
-
-Advance = Callable[[int], None]
-# What a detection depends on; the rest of the settings may change without looking again.
-_SEEN_BY = ("stereo", "polemap.detection")
+from tools.scan_cache import drive_fingerprint, fingerprint
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +75,12 @@ def run_sweeps(
             notes.append(f"{result.route.name}: no sweep ({error})")
     if not plans:
         raise InputError("--sweep: no route can be replayed; " + "; ".join(notes))
-    detect = list({job.target: job for plan in plans for job in plan.detect}.values())
-    with progress(len(detect), "looking for poles") as advance:
-        run_jobs(detect, workers, advance)
+    looks = list({job.target: job for plan in plans for job in plan.looks}.values())
+    with progress(sum(job.steps for job in looks), "looking for poles") as advance:
+        run_jobs(looks, do_look, workers, advance)
     replays = list({job.target: job for plan in plans for job in plan.replays()}.values())
     with progress(len(replays), "replaying the sweep") as advance:
-        run_jobs(replays, workers, advance)
+        run_jobs(replays, do_replay, workers, advance)
     swept = []
     with progress(len(plans), "measuring the sweep") as advance:
         for plan in plans:
@@ -101,53 +91,56 @@ def run_sweeps(
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """All jobs of a route: `replay[sweep name][value][run][recording]`."""
+    """All that a route needs: `runs[sweep name][value][run][recording]`.
+
+    A run that the report has anyway stands there itself, in place of a job.
+    """
 
     result: RouteResult
     frame_rate_hz: float
-    detect: tuple[DetectJob, ...]
-    replay: dict[str, list[list[list[ReplayJob]]]]
+    looks: tuple[LookJob, ...]
+    runs: dict[str, list[list[list[ReplayJob | Run]]]]
 
     def replays(self) -> list[ReplayJob]:
-        return [j for sweep in self.replay.values() for v in sweep for run in v for j in run]
+        ones = (one for sweep in self.runs.values() for v in sweep for run in v for one in run)
+        return [one for one in ones if isinstance(one, ReplayJob)]
 
 
 def _plan(
     result: RouteResult, sweeps: Sequence[Sweep], folder: Path, runs: int, seed: int
 ) -> _Plan:
-    detect: list[DetectJob] = []
-    replays: dict[str, list[list[list[ReplayJob]]]] = {
+    looks: dict[str, LookJob] = {}
+    planned: dict[str, list[list[list[ReplayJob | Run]]]] = {
         sweep.name: [[[] for _ in range(runs)] for _ in sweep.values] for sweep in sweeps
     }
     rates = []
     for recording in result.route.recordings:
-        source = _input(recording)
-        drive = open_input(source)
+        source, drive, map_file = _input(recording)
         known = drive_fingerprint(drive)
         stamps = drive.frame_stamps_s if drive.has_frames else [s.stamp_s for s in drive.scans]
         rates.append(1.0 / float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0)
-        map_key = fingerprint(Path(source.map).stat().st_size, _digest(Path(source.map)))
+        inputs = (known, _digest(map_file), __version__)
         for sweep in sweeps:
             for number, value in enumerate(sweep.values):
                 settings = settings_of(recording.main.config, value.settings)
                 text = settings.model_dump_json(exclude={"simulate"})
-                files: list[str] = []
-                if drive.has_frames:
-                    jobs = _detect_jobs(source, settings, folder, known, len(drive.frame_stamps_s))
-                    detect += jobs
-                    files = [job.target for job in jobs]
+                jobs = look_jobs(source, drive, known, settings, folder) if drive.has_frames else []
+                looks |= {job.target: job for job in jobs}
+                own = _own_runs(recording, value, text)
+                files = tuple(job.target for job in jobs)
+                seen = bool(files) and what_is_seen_by(settings)
                 for run in range(runs):
-                    key = fingerprint(known, map_key, text, files and _seen(settings),
-                                      value.every, seed + run)  # fmt: skip
+                    key = fingerprint(*inputs, text, seen, value.every, seed + run)
                     job = ReplayJob(
-                        source, text, tuple(files), value.every, seed + run,
+                        source, str(map_file), text, files, value.every, seed + run,
                         str(folder / f"run-{key}.npz"),
                     )  # fmt: skip
-                    replays[sweep.name][number][run].append(job)
-    return _Plan(result, float(np.mean(rates)), tuple(detect), replays)
+                    planned[sweep.name][number][run].append(own.get(seed + run, job))
+    return _Plan(result, float(np.mean(rates)), tuple(looks.values()), planned)
 
 
-def _input(recording: Recording) -> Input:
+def _input(recording: Recording) -> tuple[Source, Drive, Path]:
+    """Where a recording comes from, as its runs opened it, and its map."""
     main = recording.main
     if recording.drive is None or main.drive is None:
         raise InputError("its drive cannot be read any more")
@@ -155,37 +148,23 @@ def _input(recording: Recording) -> Input:
         raise InputError("it was localized without a map")
     if not main.map.is_file():
         raise InputError(f"its map {main.map} is gone")
-    return Input(str(main.drive), main.lap, main.runs[0].seed, str(main.map))
+    source = Source(str(main.drive), main.lap)
+    return source, source.open(), main.map
 
 
-def _detect_jobs(
-    source: Input, settings: Settings, folder: Path, known: str, frames: int
-) -> list[DetectJob]:
-    key = fingerprint(known, _seen(settings))
-    text = settings.model_dump_json(exclude={"simulate"})
-    jobs = []
-    for first in range(0, frames, FRAMES_A_TASK):
-        last = min(first + FRAMES_A_TASK, frames)
-        target = str(folder / f"scans-{key}-{first:06d}.npz")
-        jobs.append(DetectJob(source, text, (first, last), target))
-    return jobs
-
-
-def _seen(settings: Settings) -> dict[str, Any]:
-    tree = settings.model_dump(mode="json")
-    found = {}
-    for name in _SEEN_BY:
-        part = tree
-        for key in name.split("."):
-            part = part[key]
-        found[name] = part
-    return found
+def _own_runs(recording: Recording, value: SweepValue, settings: str) -> dict[int, Run]:
+    """By seed, the runs of the report that a value would only repeat."""
+    config = recording.main.config
+    own = settings_of(config, ()).model_dump_json(exclude={"simulate"})
+    if value.every != 1 or settings != own or config.get("polemap_version") != __version__:
+        return {}
+    return {run.seed: thinned(run) for run in recording.main.runs}
 
 
 def _measured(plan: _Plan, sweep: Sweep) -> SweptRoute:
     values = []
-    for value, jobs in zip(sweep.values, plan.replay[sweep.name], strict=True):
-        runs = tuple(tuple(read_result(Path(j.target), j.seed) for j in group) for group in jobs)
+    for value, groups in zip(sweep.values, plan.runs[sweep.name], strict=True):
+        runs = tuple(tuple(_result(one) for one in group) for group in groups)
         systems = [
             System(kind, kind, value.label, tuple(tuple(getattr(r, kind) for r in g) for g in runs))
             for kind in ("pf", "kf")
@@ -193,6 +172,10 @@ def _measured(plan: _Plan, sweep: Sweep) -> SweptRoute:
         pf, kf = (measure(plan.result, system) for system in systems)
         values.append(SweptValue(value, runs, pf, kf))
     return SweptRoute(sweep, plan.result, plan.frame_rate_hz, tuple(values))
+
+
+def _result(one: ReplayJob | Run) -> Run:
+    return read_result(Path(one.target), one.seed) if isinstance(one, ReplayJob) else one
 
 
 def _digest(path: Path) -> str:

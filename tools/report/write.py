@@ -13,11 +13,11 @@ import yaml
 
 from drivelog.atomic import atomic_file
 from polemap import __version__
+from tools.machine import describe_machine
 from tools.report.comparison import compare_systems
 from tools.report.document import document, document_text
 from tools.report.figures import route_pictures
 from tools.report.interactive_map import interactive_map
-from tools.report.machine import describe_machine
 from tools.report.page import Page, Section, SettingsText, render_page
 from tools.report.results import RouteResult
 from tools.report.route_tables import all_tables, repeatability_table

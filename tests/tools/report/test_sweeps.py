@@ -6,12 +6,9 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from drivelog.samples import PoleScan, VisibleRegion
 from tools import cli
-from tools.report.scan_cache import read_scans, write_scans
 from tools.report.sweep_spec import parse_sweep, settings_of
 
 Maker = Callable[..., Path]
@@ -51,44 +48,6 @@ def test_sweep_resumes_and_does_not_depend_on_the_workers(
     assert all(0.02 < one["kf_m"] < 0.5 for one in (full, half, sixty, ninety))
     assert (out / "tables" / "sweep-frame-rate.csv").is_file()
     assert (out / "pictures" / "sweep-particles-0.svg").is_file()
-
-
-def test_scans_survive_the_cache(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    scans = []
-    for number, count in enumerate((3, 0, 2)):
-        view = None
-        if number != 2:
-            free = rng.uniform(5, 25, 4 + number)
-            view = VisibleRegion(np.array([1.9, 0.1]), -0.6, 0.5, 3.0, free)
-        scans.append(
-            PoleScan(
-                0.1 * number, 0.1 * number + 0.05, rng.normal(size=(count, 2)),
-                rng.normal(size=(count, 2, 2)), rng.random(count), np.full(count, -1),
-                rng.random(count), view, rng.random(count),
-            )
-        )  # fmt: skip
-    path = tmp_path / "scans.npz"
-    write_scans(path, scans)
-    back = read_scans(path)
-    assert back is not None
-    assert len(back) == 3
-    for one, two in zip(scans, back, strict=True):
-        assert (one.stamp_s, one.arrival_s) == (two.stamp_s, two.arrival_s)
-        for name in ("points_vehicle_m", "covariance_m2", "width_m", "ids", "existence"):
-            assert np.array_equal(getattr(one, name), getattr(two, name))
-        assert (one.view is None) == (two.view is None)
-        if one.view is not None and two.view is not None:
-            assert np.array_equal(one.view.free_range_m, two.view.free_range_m)
-            assert one.view.bearing_min_rad == two.view.bearing_min_rad
-
-
-@pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04 not a zip"])
-def test_a_damaged_cache_is_found_anew(tmp_path: Path, content: bytes | None) -> None:
-    path = tmp_path / "scans.npz"
-    if content is not None:
-        path.write_bytes(content)
-    assert read_scans(path) is None
 
 
 def test_settings_of_a_run_with_changes() -> None:

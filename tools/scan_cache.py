@@ -1,6 +1,7 @@
-"""Detections of a drive, found once and kept: what every value of a sweep starts from.
+"""Detections of a drive, found once and kept: what every run and value of a sweep starts from.
 
-Kept are the poles of every frame before tracking, so that a lower frame rate is tracked anew.
+Kept are the poles of every frame before tracking, so that a lower frame rate is tracked anew, and
+the time that finding them took.
 """
 
 from __future__ import annotations
@@ -8,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 from zipfile import BadZipFile
 
@@ -18,14 +20,26 @@ from numpy.typing import NDArray
 
 from drivelog.atomic import atomic_file
 from drivelog.drive import Drive
+from drivelog.errors import InputError
 from drivelog.samples import PoleScan, VisibleRegion
 from polemap.config import PolemapConfig
-from polemap.perception import PolePerception, scan_drive
+from polemap.detection import detect
+from polemap.models.io import read_classifier
 from stereo.config import StereoConfig
+from stereo.matching import make_matcher
 
 Floats = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
+STAGES = ("disparity", "detection")
+
+
+@dataclass(frozen=True, slots=True)
+class RawScans:
+    """Poles of some frames before tracking, and the seconds `(n, 2)` that each of `STAGES` took."""
+
+    scans: tuple[PoleScan, ...]
+    spent_s: Floats
 
 
 def fingerprint(*parts: Any) -> str:
@@ -35,8 +49,11 @@ def fingerprint(*parts: Any) -> str:
 
 
 def drive_fingerprint(drive: Drive) -> str:
-    """What identifies the input of a replay: its streams, not its place."""
+    """What identifies the input of a replay: its streams and some pictures, not its place."""
     digest = hashlib.sha256()
+    count = len(drive.frame_stamps_s) if drive.has_frames else 0
+    for row in sorted({0, count // 2, count - 1}) if count else ():
+        digest.update(np.ascontiguousarray(drive.read_frame(row).left).tobytes())
     streams = [drive.frame_stamps_s]
     if drive.odometry is not None:
         streams += [drive.odometry.stamp_s, drive.odometry.speed_mps, drive.odometry.yaw_rate_radps]
@@ -50,13 +67,24 @@ def drive_fingerprint(drive: Drive) -> str:
 
 def raw_scans(
     drive: Drive, polemap: PolemapConfig, stereo: StereoConfig, rows: Sequence[int]
-) -> list[PoleScan]:
-    """Poles of the frames `rows` of a drive, not tracked; a pole's existence is its probability."""
-    perception = PolePerception(drive.rig, polemap, stereo=stereo)
-    scans = []
-    for row in rows:
+) -> RawScans:
+    """Poles of the frames `rows` of a drive, not tracked; a pole's existence is its probability.
+
+    Raises:
+        InputError: the drive has no camera, or the classifier cannot be read.
+    """
+    if drive.rig is None:
+        raise InputError(f"drive {drive.name}: it has images, but drive.yaml describes no camera")
+    matcher = make_matcher(stereo, drive.rig)
+    classifier = read_classifier(polemap.detection.model)
+    scans, spent = [], np.zeros((len(rows), len(STAGES)))
+    for number, row in enumerate(rows):
         frame = drive.read_frame(row)
-        view = perception.look(frame).view
+        begin = perf_counter()
+        disparity = matcher.match(frame.left, frame.right)
+        middle = perf_counter()
+        view = detect(frame.left, frame.right, disparity, drive.rig, classifier, polemap.detection)
+        spent[number] = middle - begin, perf_counter() - middle
         found = view.detections
         scans.append(
             PoleScan(
@@ -71,19 +99,12 @@ def raw_scans(
                 found.height_m,
             )
         )
-    return scans
+    return RawScans(tuple(scans), spent)
 
 
-def tracked_scans(
-    drive: Drive, raw: Sequence[PoleScan], every: int, polemap: PolemapConfig
-) -> list[PoleScan]:
-    """Every n-th raw scan, tracked as a drive of that frame rate would be."""
-    thinned = replace(drive, images=None, scans=tuple(raw[::every]))
-    return scan_drive(thinned, polemap)
-
-
-def write_scans(path: Path, scans: Sequence[PoleScan]) -> None:
+def write_scans(path: Path, raw: RawScans) -> None:
     """Keep scans as plain arrays."""
+    scans = raw.scans
     counts = np.array([len(scan) for scan in scans], dtype=np.int64)
     views = [scan.view for scan in scans]
     bins = np.array([len(v.free_range_m) if v else -1 for v in views], dtype=np.int64)
@@ -95,6 +116,7 @@ def write_scans(path: Path, scans: Sequence[PoleScan]) -> None:
         np.savez_compressed(
             stream,
             format=np.array(FORMAT),
+            spent=raw.spent_s,
             stamps=np.array([(scan.stamp_s, scan.arrival_s) for scan in scans]).reshape(-1, 2),
             counts=counts,
             points=joined([scan.points_vehicle_m for scan in scans], 2),
@@ -108,7 +130,7 @@ def write_scans(path: Path, scans: Sequence[PoleScan]) -> None:
         )
 
 
-def read_scans(path: Path) -> list[PoleScan] | None:
+def read_scans(path: Path) -> RawScans | None:
     """What `write_scans` kept; None if it is not there or cannot be read."""
     try:
         with np.load(path, allow_pickle=False) as kept:
@@ -145,7 +167,7 @@ def read_scans(path: Path) -> list[PoleScan] | None:
                 data["height"][part],
             )
         )
-    return scans
+    return RawScans(tuple(scans), data["spent"])
 
 
 def _heights(scan: PoleScan) -> Floats:

@@ -1,0 +1,235 @@
+"""The poles of every frame of a drive: found in parallel, kept where a cache is given, tracked.
+
+Frames do not depend on one another before tracking, so chunks of them are jobs; every job leaves
+one file, so that a killed one goes on where it was.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from drivelog.drive import Drive, open_drive
+from drivelog.errors import InputError
+from drivelog.samples import PoleScan
+from polemap import __version__
+from polemap.config import PolemapConfig
+from polemap.perception import scan_drive
+from tools.scan_cache import (
+    STAGES,
+    drive_fingerprint,
+    fingerprint,
+    raw_scans,
+    read_scans,
+    write_scans,
+)
+from tools.settings import Settings
+
+FRAMES_A_TASK = 20
+# What a detection depends on; the rest of the settings may change without looking again.
+_SEEN_BY = ("stereo", "polemap.detection")
+
+Advance = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A drive on the disk, or the laps of it that `Drive.lap` understands."""
+
+    drive: str
+    lap: str | None
+
+    def open(self, seed: int = 0) -> Drive:
+        """The drive; `seed` is for sensors that it lacks and that are derived."""
+        drive = open_drive(Path(self.drive), seed=seed)
+        return drive if self.lap is None else drive.lap(self.lap)
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """Tracked scans, and the seconds that each stage took, by the scan's stamp."""
+
+    scans: tuple[PoleScan, ...]
+    spent_s: Mapping[str, Mapping[float, float]]
+
+    def total_s(self) -> dict[str, list[float]]:
+        """Seconds a scan by stage, and of all of them together as `perception`."""
+        stages = {name: list(spent.values()) for name, spent in self.spent_s.items()}
+        return {**stages, "perception": [sum(one) for one in zip(*stages.values(), strict=True)]}
+
+
+class Job(Protocol):
+    """Work that leaves one file."""
+
+    @property
+    def target(self) -> str: ...
+
+    @property
+    def steps(self) -> int: ...
+
+
+_Job = TypeVar("_Job", bound=Job)
+
+
+@dataclass(frozen=True, slots=True)
+class LookJob:
+    """Detections of the frames `rows` of a drive, to be kept at `target`."""
+
+    source: Source
+    settings: str
+    rows: tuple[int, int]
+    target: str
+
+    @property
+    def steps(self) -> int:
+        return self.rows[1] - self.rows[0]
+
+
+def look(
+    source: Source,
+    drive: Drive,
+    settings: Settings,
+    workers: int,
+    cache: Path | None,
+    advance: Advance,
+) -> Looked:
+    """The tracked poles of a drive, from its images or from the poles that lie beside it.
+
+    Args:
+        source: where worker processes find `drive`.
+        cache: folder that keeps detections; what is there is not looked at again.
+        advance: called with the number of frames that are done.
+
+    Raises:
+        InputError: the drive has neither images nor detected poles, or one cannot be read.
+    """
+    if not drive.has_frames:
+        if not drive.scans:
+            raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
+        advance(len(drive.scans))
+        return tracked(drive, drive.scans, settings.polemap)
+    with TemporaryDirectory(prefix="polemap-") as fallback:
+        known = drive_fingerprint(drive)
+        jobs = look_jobs(source, drive, known, settings, cache or Path(fallback))
+        run_jobs(jobs, do_look, workers, advance)
+        raw, spent_s = read_looks([job.target for job in jobs])
+        return tracked(drive, raw, settings.polemap, spent_s)
+
+
+def tracked(
+    drive: Drive,
+    raw: Sequence[PoleScan],
+    polemap: PolemapConfig,
+    spent_s: Mapping[str, Mapping[float, float]] | None = None,
+    every: int = 1,
+) -> Looked:
+    """Every n-th raw scan, tracked as a drive of that frame rate would be."""
+    moments = [perf_counter()]
+    thinned = replace(drive, images=None, scans=tuple(raw[::every]))
+    scans = scan_drive(thinned, polemap, lambda _: moments.append(perf_counter()))
+    tracking = dict(zip((s.stamp_s for s in scans), np.diff(moments).tolist(), strict=True))
+    return Looked(tuple(scans), {**(spent_s or {}), "tracking": tracking})
+
+
+def look_jobs(
+    source: Source, drive: Drive, known: str, settings: Settings, folder: Path
+) -> list[LookJob]:
+    """The jobs that find the poles of all frames of a drive, and keep them in `folder`.
+
+    Args:
+        known: fingerprint of the drive.
+    """
+    seen = what_is_seen_by(settings)
+    key = fingerprint(known, seen, __version__)
+    text = settings.model_dump_json(include={"stereo", "polemap"})
+    frames = len(drive.frame_stamps_s)
+    jobs = []
+    for first in range(0, frames, FRAMES_A_TASK):
+        last = min(first + FRAMES_A_TASK, frames)
+        target = str(folder / f"scans-{key}-{first:06d}.npz")
+        jobs.append(LookJob(source, text, (first, last), target))
+    return jobs
+
+
+def do_look(job: LookJob) -> None:
+    """Look at the frames of a job and keep what is found."""
+    settings = Settings.model_validate_json(job.settings)
+    raw = raw_scans(_open(job.source), settings.polemap, settings.stereo, range(*job.rows))
+    write_scans(Path(job.target), raw)
+
+
+def read_looks(
+    files: Sequence[str],
+) -> tuple[list[PoleScan], dict[str, dict[float, float]]]:
+    """What the jobs kept: raw scans, and seconds by stage and stamp.
+
+    Raises:
+        InputError: a file is damaged.
+    """
+    scans: list[PoleScan] = []
+    spent: dict[str, dict[float, float]] = {name: {} for name in STAGES}
+    for file in files:
+        part = read_scans(Path(file))
+        if part is None:
+            raise InputError(f"{file}: this kept part of a drive is damaged; delete it and rerun")
+        scans += part.scans
+        for scan, row in zip(part.scans, part.spent_s.tolist(), strict=True):
+            for name, seconds in zip(STAGES, row, strict=True):
+                spent[name][scan.stamp_s] = seconds
+    return scans, spent
+
+
+def what_is_seen_by(settings: Settings) -> dict[str, Any]:
+    """The settings that a detection depends on, and the content of a classifier of the user's."""
+    tree = settings.model_dump(mode="json")
+    found: dict[str, Any] = {}
+    for name in _SEEN_BY:
+        part = tree
+        for key in name.split("."):
+            part = part[key]
+        found[name] = part
+    model = Path(settings.polemap.detection.model)
+    if model.is_file():
+        found["model"] = hashlib.sha256(model.read_bytes()).hexdigest()
+    return found
+
+
+def run_jobs(
+    jobs: Sequence[_Job], do: Callable[[_Job], None], workers: int, advance: Advance
+) -> None:
+    """Do every job whose file is not there yet."""
+    todo = [job for job in jobs if not Path(job.target).is_file()]
+    advance(sum(job.steps for job in jobs) - sum(job.steps for job in todo))
+    if workers == 1 or len(todo) < 2:
+        for job in todo:
+            do(job)
+            advance(job.steps)
+        return
+    # One thread a process: the processes share the cores among themselves.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(do, job): job for job in todo}
+        try:
+            for future in as_completed(futures):
+                future.result()
+                advance(futures[future].steps)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+@lru_cache(maxsize=2)
+def _open(source: Source) -> Drive:
+    return source.open()

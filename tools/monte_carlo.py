@@ -1,0 +1,156 @@
+"""Replays of one drive with many seeds, in parallel, and resumable where a cache is given."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shutil
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from drivelog.atomic import atomic_folder
+from drivelog.drive import Drive
+from localize.io import write_metrics, write_run
+from localize.metrics import spread, timing_summary
+from localize.replay import replay
+from polemap import __version__
+from polemap.landmark_map import PoleMap
+from tools.looking import Looked, Source
+from tools.machine import describe_machine
+from tools.progress import progress
+from tools.scan_cache import drive_fingerprint, fingerprint
+from tools.settings import Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """All that a run needs, sent to each worker once."""
+
+    source: Source
+    map_file: Path | None
+    pole_map: PoleMap | None
+    looked: Looked
+    settings: Settings
+
+    def run(self, folder: Path, seed: int, *, show: bool = False) -> dict[str, Any]:
+        """One run into `folder`; its metrics."""
+        # sensors that had to be derived get noise of their own in every run
+        drive = replace(self.source.open(seed), images=None, scans=())
+        looked = self.looked
+        total = sum(len(stream) for stream in (drive.odometry, drive.gnss) if stream is not None)
+        bar = progress(total + len(looked.scans), "localizing") if show else nullcontext()
+        with bar as advance:
+            run = replay(
+                drive,
+                self.pole_map,
+                looked.scans,
+                self.settings.localize,
+                seed=seed,
+                clock=time.perf_counter,
+                progress=advance,
+            )
+        metrics = run.metrics
+        spent = looked.total_s()
+        metrics["timing_ms"] = {**timing_summary(spent), **metrics["timing_ms"]}
+        metrics["machine"] = describe_machine()
+        metrics["perception_s"] = sum(spent["perception"])
+        busy_s = metrics["perception_s"] + metrics["replay_s"]
+        metrics["real_time_factor"] = drive.duration_s / busy_s if busy_s > 0 else None
+        folder.mkdir(parents=True, exist_ok=True)
+        write_run(folder, run, self._as_used(seed), looked.spent_s)
+        return metrics
+
+    def key(self, drive: Drive) -> str:
+        """What identifies a run but for its seed."""
+        map_file = self.map_file
+        return fingerprint(
+            drive_fingerprint(drive),
+            None if map_file is None else hashlib.sha256(map_file.read_bytes()).hexdigest(),
+            {name: value for name, value in self._as_used(0).items() if name != "seed"},
+        )
+
+    def _as_used(self, seed: int) -> dict[str, Any]:
+        return {
+            "polemap_version": __version__,
+            "drive": self.source.drive,
+            "map": None if self.map_file is None else str(self.map_file),
+            "lap": self.source.lap,
+            "seed": seed,
+            "settings": self.settings.model_dump(mode="json"),
+        }
+
+
+def run_many(
+    job: Replay, folder: Path, seed: int, runs: int, workers: int, kept: Path | None
+) -> dict[str, Any]:
+    """Runs of seeds seed ... seed + runs - 1 into `folder`; mean and spread of their metrics.
+
+    Args:
+        kept: runs are finished here first and moved at the end, so that a killed call goes on.
+    """
+    digits = max(3, len(str(runs - 1)))
+    names = [f"{number:0{digits}d}" for number in range(runs)]
+    places = [folder / name if kept is None else kept / str(seed + n)
+              for n, name in enumerate(names)]  # fmt: skip
+    todo = [number for number in range(runs) if kept is None or not places[number].is_dir()]
+    with (
+        progress(runs, f"{runs} runs on {workers} processes") as advance,
+        ProcessPoolExecutor(
+            workers, mp_context=get_context("spawn"), initializer=_take_job, initargs=(job,)
+        ) as pool,
+    ):
+        advance(runs - len(todo))
+        futures = [pool.submit(_one, places[number], seed + number) for number in todo]
+        try:
+            for future in as_completed(futures):
+                future.result()
+                advance(1)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    if kept is not None:
+        for place, name in zip(places, names, strict=True):
+            shutil.move(place, folder / name)
+        shutil.rmtree(kept, ignore_errors=True)
+    ordered = [_read_metrics(folder / name / "metrics.json") for name in names]
+    metrics = {
+        "runs": runs,
+        "seeds": [seed, seed + runs - 1],
+        **{name: ordered[0][name] for name in ("drive", "frame", "notes")},
+        **spread(ordered),
+    }
+    write_metrics(folder / "metrics.json", metrics)
+    return metrics
+
+
+_job: Replay | None = None
+
+
+def _take_job(job: Replay) -> None:
+    global _job
+    _job = job
+
+
+def _one(place: Path, seed: int) -> None:
+    if _job is None:
+        raise RuntimeError("a worker was started without its job")
+    with atomic_folder(place) as part:
+        _job.run(part, seed)
+
+
+def _read_metrics(path: Path) -> dict[str, Any]:
+    """The metrics of a run; what JSON has as null was a number that is not finite."""
+
+    def back(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: back(item) for key, item in value.items()}
+        return math.nan if value is None else value
+
+    metrics: dict[str, Any] = back(json.loads(path.read_text(encoding="utf-8")))
+    return metrics
