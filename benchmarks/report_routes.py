@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--routes", nargs="+", default=list(CORNERS_M), choices=list(CORNERS_M))
     parser.add_argument("--laps", type=int, default=6)
     parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--sweep-runs", type=int, default=5)
+    parser.add_argument("--sweep-runs", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
     chosen = parser.parse_args(arguments)

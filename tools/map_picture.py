@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 _STEP_M = 2.0
 _CAMERA_RANGE_M = 25.0
 _WORST_M = 1.0
+# a slim bar beside the map
+_BAR: dict[str, Any] = {"shrink": 0.5, "aspect": 30, "pad": 0.01}
 
 
 def check_picture(path: Path | None) -> None:
@@ -112,7 +114,7 @@ def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 8.5), dpi=110)
+    figure = Figure(figsize=(11, 8.5), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     centre = pole_map.points_m.mean(axis=0).round() if pole_map.frame.is_utm else np.zeros(2)
@@ -123,20 +125,19 @@ def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None
             points[:, 0], points[:, 1], c=bound, cmap="RdYlGn_r", vmin=0.0, vmax=0.5, s=9, lw=0
         )
     if parts:
-        figure.colorbar(route, ax=axes, shrink=0.6, label="lateral bound of one look, 1 sd (m)")
+        figure.colorbar(route, ax=axes, **_BAR, label="lateral bound of one look, 1 sd (m)")
     points = pole_map.points_m - centre
     width = np.where(np.isfinite(pole_map.width_m), pole_map.width_m, 0.2)
     dots = axes.scatter(
         points[:, 0], points[:, 1], c=pole_map.existence, cmap="viridis", vmin=0.5, vmax=1.0,
         s=12 + 60 * width, edgecolors="black", linewidths=0.4,
     )  # fmt: skip
-    figure.colorbar(dots, ax=axes, shrink=0.6, label="existence of the pole")
+    figure.colorbar(dots, ax=axes, **_BAR, label="existence of the pole")
     axes.set_aspect("equal")
     axes.grid(alpha=0.3)
     shift = f" - {centre[0]:.0f}" if centre.any() else ""
     axes.set_xlabel(f"east{shift} (m)")
     axes.set_ylabel(f"north - {centre[1]:.0f} (m)" if centre.any() else "north (m)")
     axes.set_title(f"{len(pole_map)} poles, {pole_map.frame}")
-    figure.tight_layout()
     with atomic_file(path) as target:
         figure.savefig(target, format=path.suffix[1:].lower())

@@ -8,8 +8,7 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from drivelog.errors import ConfigError
-from tools.report.localizability import localizability, stereo_sensor
+from tools.report.localizability import DEFAULT_CAMERA, route_bound
 from tools.report.results import RouteResult, SystemResult
 from tools.report.run_tables import STAGE_NAMES, runs_of
 from tools.report.style import (
@@ -25,11 +24,11 @@ from tools.report.style import (
     thin,
     tidy,
 )
-from tools.report.sweep_spec import settings_of
 
 Floats = NDArray[np.float64]
 
 CHI2_99 = 11.345
+LEAST_SHOWN = 1e-3
 
 
 def errors_over_time(result: RouteResult, key: str) -> Picture | None:
@@ -120,7 +119,11 @@ def _nis(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] | 
     if stamps is None or values is None:
         return None
     good = np.isfinite(values) & (values > 0.0)
-    return ("NIS at the gate", stamps[good], values[good]) if good.any() else None
+    return (
+        ("NIS at the gate", stamps[good], np.maximum(values[good], LEAST_SHOWN))
+        if good.any()
+        else None
+    )
 
 
 def _nees(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] | None:
@@ -149,7 +152,11 @@ def _nees(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] |
     if len(error) == 0:
         return None
     values = np.sum(error * np.linalg.solve(chosen, error[..., None])[..., 0], axis=1)
-    return "NEES of the output filter", goals.stamp_s[known][definite], np.maximum(values, 1e-4)
+    return (
+        "NEES of the output filter",
+        goals.stamp_s[known][definite],
+        np.maximum(values, LEAST_SHOWN),
+    )
 
 
 def poles_along_route(result: RouteResult, key: str) -> Picture | None:
@@ -188,17 +195,10 @@ def poles_along_route(result: RouteResult, key: str) -> Picture | None:
 
 def localizability_picture(result: RouteResult, key: str) -> Picture | None:
     """What the map's poles allow along the first recording, in one look."""
-    recording, poles = result.route.recordings[0], result.route.pole_map
-    if poles is None or len(poles) == 0:
+    found = route_bound(result)
+    if found is None:
         return None
-    try:
-        settings = settings_of(recording.main.config, ())
-    except ConfigError:
-        return None
-    rig = recording.drive.rig if recording.drive else None
-    focal_px, baseline_m = (rig.focal_px, rig.baseline_m) if rig else (800.0, 0.5)
-    sensor = stereo_sensor(settings, focal_px, baseline_m)
-    bound = localizability(recording.guide, poles, sensor)
+    bound, sensor, own = found
     with drawing(8.0, 3.6) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
         for name, values, colour in (
@@ -214,7 +214,9 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
         lower.plot(bound.distance_m, bound.in_view, color=COLOURS["pole"], drawstyle="steps-mid")
         lower.set_ylim(bottom=0)
         tidy(lower, "distance driven [m]", "poles in view")
-        camera = "the drive's camera" if rig else "a camera of 800 px and 0.5 m baseline"
+        camera = (
+            "the drive's camera" if own else "a camera of {} px and {} m".format(*DEFAULT_CAMERA)
+        )
         return finish(
             figure,
             key,

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString
 
 from tools.report.figures import drawn_systems, near_points, system_label
+from tools.report.localizability import STEP_M, route_bound
 from tools.report.results import RouteResult
 
 Floats = NDArray[np.float64]
 
 SIMPLIFY_M = 0.01
 MARGIN_M = 25.0
+BOUND_LIMITS_M = (0.3, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ def interactive_map(result: RouteResult) -> InteractiveMap:
         points = near_points(poles.points_m, result) - origin
         dots = "".join(f"M{x:.2f} {-y:.2f}h0" for x, y in points.tolist())
         layers.append(Layer(f"mapped poles ({len(points)})", "pole", (dots,)))
+    layers = _bound_layers(result, origin) + layers
     for one in drawn_systems(result):
         paths = [
             _path_data(part)
@@ -67,6 +70,26 @@ def interactive_map(result: RouteResult) -> InteractiveMap:
     width, height = (float(v) for v in high - low)
     view = (float(low[0]), float(-high[1]), width, height)
     return InteractiveMap(float(origin[0]), float(origin[1]), view, tuple(layers))
+
+
+def _bound_layers(result: RouteResult, origin: Floats) -> list[Layer]:
+    """Localizability along the first recording: where one look at the map says much or little."""
+    found = route_bound(result)
+    if found is None:
+        return []
+    bound, _, _ = found
+    points = bound.points_m - origin
+    ahead = np.vstack([points[1:], points[-1:]])
+    level = np.digitize(bound.lateral_sd_m, BOUND_LIMITS_M)
+    near, far = BOUND_LIMITS_M
+    names = (f"one look: lateral sd below {near} m", f"{near} – {far} m", f"above {far} m")
+    layers = []
+    for number, name in enumerate(names):
+        rows = np.flatnonzero((level == number) & (np.hypot(*(ahead - points).T) < 3.0 * STEP_M))
+        steps = (np.concatenate([points[row], ahead[row]]) for row in rows)
+        path = "".join(f"M{a:.2f} {-b:.2f}L{c:.2f} {-d:.2f}" for a, b, c, d in steps)
+        layers.append(Layer(name, f"bound bound{number}", (path,) if path else ()))
+    return layers
 
 
 def _unbroken(points_m: Floats, jump_m: float = 5.0) -> list[Floats]:

@@ -13,7 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivelog.errors import ConfigError
 from polemap.landmark_map import PoleMap
+from tools.report.results import RouteResult
+from tools.report.sweep_spec import settings_of
 from tools.report.trajectory import Trajectory
 from tools.settings import Settings
 
@@ -23,6 +26,8 @@ STEP_M = 4.0
 # What a car knows of its heading without any pole: a wide prior keeps the bound finite.
 HEADING_PRIOR_RAD = 0.2
 POSITION_PRIOR_M = 10.0
+# focal length in pixels and baseline in metres, where the drive has no camera
+DEFAULT_CAMERA = (800.0, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +48,9 @@ class SensorModel:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Along the driven line: `(n,)` distance, lateral and longitudinal sd, poles in view."""
+    """Along the driven line: `(n, 2)` points, `(n,)` distance, bounds and poles in view."""
 
+    points_m: Floats
     distance_m: Floats
     lateral_sd_m: Floats
     longitudinal_sd_m: Floats
@@ -63,6 +69,24 @@ def stereo_sensor(settings: Settings, focal_px: float, baseline_m: float) -> Sen
         detection.across_sd_m,
         detection.column_sd_px / focal_px,
     )
+
+
+def route_bound(result: RouteResult) -> tuple[Bound, SensorModel, bool] | None:
+    """The bound along a route's first recording, its sensor, and whether that is the drive's own.
+
+    None where there is no map, or the settings of the run are of another version.
+    """
+    recording, poles = result.route.recordings[0], result.route.pole_map
+    if poles is None or len(poles) == 0:
+        return None
+    try:
+        settings = settings_of(recording.main.config, ())
+    except ConfigError:
+        return None
+    rig = recording.drive.rig if recording.drive else None
+    focal_px, baseline_m = (rig.focal_px, rig.baseline_m) if rig else DEFAULT_CAMERA
+    sensor = stereo_sensor(settings, focal_px, baseline_m)
+    return localizability(recording.guide, poles, sensor), sensor, rig is not None
 
 
 def localizability(track: Trajectory, pole_map: PoleMap, sensor: SensorModel) -> Bound:
@@ -94,4 +118,4 @@ def localizability(track: Trajectory, pole_map: PoleMap, sensor: SensorModel) ->
         covariance = np.linalg.inv(information)
         along[row], lateral[row] = np.sqrt(covariance[0, 0]), np.sqrt(covariance[1, 1])
         count[row] = int(seen.sum())
-    return Bound(line.travelled_m(), lateral, along, count)
+    return Bound(line.poses[:, :2], line.travelled_m(), lateral, along, count)

@@ -82,7 +82,8 @@ def _table(name: str, group: Sequence[SweptRoute]) -> Table:
             "most",
         ),
         tuple(rows),
-        "Mean ± standard deviation over the runs; same laps, stations and exclusions as above.",
+        "Mean ± standard deviation over the runs; same laps, stations and exclusions as above. The "
+        "lateral error is that of the output filter every 0.1 m, so that standing does not count.",
     )
 
 
@@ -102,9 +103,16 @@ def _picture(one: SweptRoute, key: str) -> Picture:
             upper.errorbar(
                 x, mean, spread, color=COLOURS[kind], marker="o", ms=4, capsize=3, label=kind
             )
+        errors = 100 * np.array([_accuracy(v, "lateral_rmse_m") for v in values])
+        if np.isfinite(errors[:, 0]).all():
+            label = f"kf against the {one.result.against}"
+            upper.errorbar(
+                x, errors[:, 0], np.nan_to_num(errors[:, 1]), color=COLOURS["kf"], ls="--",
+                marker="s", mfc="none", ms=4, capsize=3, label=label,
+            )  # fmt: skip
         upper.set_ylim(bottom=0.0)
         upper.legend(fontsize=8)
-        tidy(upper, "", "repeatability [cm]", one.result.route.name)
+        tidy(upper, "", "lateral sd or rms [cm]", one.result.route.name)
         counts = [v.total("reinitializations") for v in values]
         for place, runs in zip(x, counts, strict=True):
             lower.plot([place] * len(runs), runs, ".", color=COLOURS["pf"], ms=4, mew=0)
@@ -121,10 +129,12 @@ def _picture(one: SweptRoute, key: str) -> Picture:
             lower.xaxis.set_minor_formatter(NullFormatter())
         else:
             lower.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        runs_text = f"{len(values[0].runs)} runs a value; bars: one standard deviation"
-        return finish(
-            figure, key, f"Sweep of {_NAMES.get(one.sweep.name, one.sweep.name)}", f"{runs_text}."
+        caption = (
+            f"Repeatability of both filters, and lateral error where it is known; "
+            f"{len(values[0].runs)} runs a value, bars: one standard deviation."
         )
+        title = f"Sweep of {_NAMES.get(one.sweep.name, one.sweep.name)}"
+        return finish(figure, key, title, caption)
 
 
 def _place(one: SweptRoute, swept: SweptValue) -> float | None:

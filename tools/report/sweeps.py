@@ -21,6 +21,7 @@ from tools.report.runs import Run
 from tools.report.sweep_jobs import ReplayJob, do_replay, read_result, thinned
 from tools.report.sweep_spec import Sweep, SweepValue, settings_of
 from tools.scan_cache import drive_fingerprint, fingerprint
+from tools.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +124,7 @@ def _plan(
         for sweep in sweeps:
             for number, value in enumerate(sweep.values):
                 settings = settings_of(recording.main.config, value.settings)
-                text = settings.model_dump_json(exclude={"simulate"})
+                text = _text(settings)
                 jobs = look_jobs(source, drive, known, settings, folder) if drive.has_frames else []
                 looks |= {job.target: job for job in jobs}
                 own = _own_runs(recording, value, text)
@@ -155,7 +156,7 @@ def _input(recording: Recording) -> tuple[Source, Drive, Path]:
 def _own_runs(recording: Recording, value: SweepValue, settings: str) -> dict[int, Run]:
     """By seed, the runs of the report that a value would only repeat."""
     config = recording.main.config
-    own = settings_of(config, ()).model_dump_json(exclude={"simulate"})
+    own = _text(settings_of(config, ()))
     if value.every != 1 or settings != own or config.get("polemap_version") != __version__:
         return {}
     return {run.seed: thinned(run) for run in recording.main.runs}
@@ -176,6 +177,11 @@ def _measured(plan: _Plan, sweep: Sweep) -> SweptRoute:
 
 def _result(one: ReplayJob | Run) -> Run:
     return read_result(Path(one.target), one.seed) if isinstance(one, ReplayJob) else one
+
+
+def _text(settings: Settings) -> str:
+    """What a replay may depend on: neither the simulator nor how maps are built."""
+    return settings.model_dump_json(exclude={"simulate": True, "polemap": {"mapping"}})
 
 
 def _digest(path: Path) -> str:
