@@ -92,7 +92,7 @@ class PointDrive:
 def simulate_points(scenario: PointScenario, rng: np.random.Generator) -> PointDrive:
     """Draw a road, its poles and one drive along it; the same generator, the same drive."""
     stamps, path, speed, yaw_rate = _drive_path(scenario, rng)
-    pole_map, true_points, widths = _plant_poles(path, scenario, rng)
+    pole_map, true_points, widths = plant_poles(path, scenario, rng)
     truth = path
     jump = round(scenario.kidnap_m / scenario.speed_mps / _STEP_S)
     if np.isfinite(scenario.kidnap_s):
@@ -146,7 +146,7 @@ def _drive_path(
     return np.asarray(np.arange(count) * _STEP_S, dtype=np.float64), path, speed, yaw_rate
 
 
-def _plant_poles(
+def plant_poles(
     path: Floats, scenario: PointScenario, rng: np.random.Generator
 ) -> tuple[PoleMap, Floats, Floats]:
     """The map, and where its poles really stand `(m, 2)`."""
@@ -221,29 +221,46 @@ def _scans(
     scenario: PointScenario,
     rng: np.random.Generator,
 ) -> Iterator[PoleScan]:
-    view = VisibleRegion(
-        np.array([1.5, 0.0]),
-        -scenario.half_view_rad,
-        scenario.half_view_rad,
-        3.0,
-        np.array([scenario.range_max_m]),
-    )
-    lasting = rng.standard_normal((len(points), 2))
-    lasting_width = 0.05 * rng.standard_normal(len(points))
-    interval = 1.0 / scenario.scan_hz
-    for stamp in np.arange(0.5, stamps[-1], interval):
-        pose = truth[np.argmin(np.abs(stamps - stamp))]
+    detector = PoleDetector(points, widths, scenario, rng)
+    for stamp in np.arange(0.5, stamps[-1], 1.0 / scenario.scan_hz):
         # the truth is known every 10 ms only: the scan is stamped with its instant
-        stamp = float(stamps[np.argmin(np.abs(stamps - stamp))])
+        row = np.argmin(np.abs(stamps - stamp))
+        yield detector.scan(float(stamps[row]), truth[row])
+
+
+class PoleDetector:
+    """What a detector sees of poles at `points` `(n, 2)`, scan by scan, with its errors.
+
+    Part of each pole's error lasts over the drive (`correlated_share`).
+    """
+
+    def __init__(
+        self, points: Floats, widths: Floats, scenario: PointScenario, rng: np.random.Generator
+    ) -> None:
+        self._points, self._widths, self._scenario, self._rng = points, widths, scenario, rng
+        self._view = VisibleRegion(
+            np.array([1.5, 0.0]),
+            -scenario.half_view_rad,
+            scenario.half_view_rad,
+            3.0,
+            np.array([scenario.range_max_m]),
+        )
+        self._lasting = rng.standard_normal((len(points), 2))
+        self._lasting_width = 0.05 * rng.standard_normal(len(points))
+
+    def scan(self, stamp_s: float, pose: Floats) -> PoleScan:
+        """The scan from a rear-axle pose `(3,)`."""
+        scenario, view, rng = self._scenario, self._view, self._rng
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        local = (points - pose[:2]) @ np.array([[c, -s], [s, c]])
+        local = (self._points - pose[:2]) @ np.array([[c, -s], [s, c]])
         rows = np.flatnonzero(view.contains(local))
         rows = rows[rng.random(len(rows)) < scenario.p_detection]
-        noise = np.sqrt(scenario.correlated_share) * lasting[rows] + np.sqrt(
+        noise = np.sqrt(scenario.correlated_share) * self._lasting[rows] + np.sqrt(
             1.0 - scenario.correlated_share
         ) * rng.standard_normal((len(rows), 2))
         seen, covariance = _measured(local[rows], noise, view, scenario)
-        width = widths[rows] + lasting_width[rows] + 0.05 * rng.standard_normal(len(rows))
+        width = self._widths[rows] + self._lasting_width[rows]
+        width = width + 0.05 * rng.standard_normal(len(rows))
         false = rng.poisson(
             scenario.clutter_share / (1.0 - scenario.clutter_share) * max(len(rows), 1)
         )
@@ -254,9 +271,9 @@ def _scans(
         )
         _, ghost_covariance = _measured(ghosts, np.zeros((false, 2)), view, scenario)
         count = len(rows) + false
-        yield PoleScan(
-            stamp_s=stamp,
-            arrival_s=stamp + scenario.scan_delay_s,
+        return PoleScan(
+            stamp_s=stamp_s,
+            arrival_s=stamp_s + scenario.scan_delay_s,
             points_vehicle_m=np.vstack([seen, ghosts]),
             covariance_m2=np.concatenate([covariance, ghost_covariance]),
             width_m=np.concatenate([width, rng.uniform(0.05, 0.6, false)]),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from itertools import cycle
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
@@ -13,45 +15,62 @@ from matplotlib.figure import Figure
 
 from drivelog.atomic import atomic_file, atomic_folder
 from drivelog.errors import ConfigError
+from simulate.closed_loop.registry import LOOP_STUDIES
 from tools.progress import progress
 from vehicle.io import load_car
-from vehicle.studies.papers import STUDIES, Study
+from vehicle.studies.papers import STUDIES
+from vehicle.studies.study import Study
 
-_TABLE = "{:<54} {:>20} {:>11}  {}"
-_STYLES = ("k-", "C0-", "C1-", "C2-", "C3-", "C4-")
+_TABLE = "{:<54} {:>24} {:>20}  {}"
+_STYLES = ("k-", "C0-", "C1-", "C2-", "C3-", "C4-", "C5-", "C6-", "C7--", "C8--", "C9--")
 
 
 def command(
-    name: Annotated[str, typer.Argument(help="W12, W13, W14 or N13; all runs them all.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="Estimation: W12, W13, W14, N13. Closed loops: N13-slip, N13-cornering, "
+            "W14-lane-change, W14-margins, path-following. all runs them all."
+        ),
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder for picture, table and figures.")
     ] = None,
     seeds: Annotated[int | None, typer.Option("--seeds", min=1, help="Simulated drives.")] = None,
     vehicle: Annotated[
-        str, typer.Option("--vehicle", help="Car, the papers' by default.")
-    ] = "coms",
+        str | None, typer.Option("--vehicle", help="Car, the study's own by default.")
+    ] = None,
+    estimator: Annotated[
+        list[str] | None,
+        typer.Option("--estimator", help="Closed loops: close it behind this one; repeatable."),
+    ] = None,
 ) -> None:
     """Rerun a source paper's simulation and set our figures beside its claims.
 
     Ratios and orderings are compared, since the papers print no noise and no steering amplitude.
-    The column errata holds what an independent simulation of the corrected equations gave.
+    The column errata holds what an independent simulation of the corrected equations gave. The
+    closed loops run the controllers on a two-track car behind estimators, or a car that steers
+    along a path by the localizer's pose.
 
     Examples:
         polemap study W14
         polemap study W13 --seeds 20 --out w13
+        polemap study N13-cornering --estimator two_layer --estimator stiffness
+        polemap study path-following --seeds 5 --out following
         polemap study all --out studies
     """
-    chosen = list(STUDIES) if name == "all" else [name.upper()]
-    if chosen[0] not in STUDIES:
-        raise ConfigError(f"no study {name}; there are {', '.join(STUDIES)} and all")
-    car = load_car(vehicle)
+    known = {each.lower(): each for each in (*STUDIES, *LOOP_STUDIES)}
+    wanted = name.lower().replace("_", "-")
+    if wanted != "all" and wanted not in known:
+        raise ConfigError(f"no study {name}; there are {', '.join(known.values())} and all")
+    chosen = list(known.values()) if wanted == "all" else [known[wanted]]
+    if estimator and chosen[0] not in LOOP_STUDIES:
+        raise ConfigError(f"--estimator: {name} is no closed loop, it compares all estimators")
     results = []
     for each in chosen:
-        function, usual = STUDIES[each]
-        count = seeds or usual
-        with progress(None, f"study {each}") as advance:
-            results.append(function(car, count, advance))
-        sys.stdout.write(table(results[-1], count) + "\n")
+        result, count = _run(each, vehicle, seeds, tuple(estimator or ()))
+        results.append(result)
+        sys.stdout.write(table(result, count) + "\n")
         sys.stdout.flush()
     if out is not None:
         with atomic_folder(out) as folder:
@@ -59,19 +78,63 @@ def command(
                 write_study(result, folder)
 
 
+def _run(
+    name: str, vehicle: str | None, seeds: int | None, estimators: tuple[str, ...]
+) -> tuple[Study, int]:
+    with progress(None, f"study {name}") as advance:
+        if name in LOOP_STUDIES:
+            entry = LOOP_STUDIES[name]
+            count = seeds or entry.seeds
+            return entry.run(load_car(vehicle or entry.car), count, advance, estimators), count
+        function, usual = STUDIES[name]
+        count = seeds or usual
+        return function(load_car(vehicle or "coms"), count, advance), count
+
+
 def table(study: Study, seeds: int) -> str:
     """The study as text."""
     lines = [f"{study.name}: {study.title} ({seeds} seeds)"]
-    lines.append(_TABLE.format("", "ours", "errata", "the paper says"))
+    lines.append(_TABLE.format("", *study.headings))
     lines += [_TABLE.format(x.name, x.ours, x.expected, x.claim).rstrip() for x in study.lines]
     lines += [f"  - {remark}" for remark in study.remarks]
     return "\n".join(lines) + "\n"
 
 
 def write_study(study: Study, folder: Path) -> None:
-    """`NAME.json` with the figures and `NAME.png` with side-slip and error over time."""
+    """`NAME.json` with the figures and `NAME.png` with the curves over time."""
     with atomic_file(folder / f"{study.name}.json") as part:
-        part.write_text(json.dumps(study.figures, indent=1), "utf-8")
+        # JSON knows no infinity: what never settles is null
+        finite = {k: v if isfinite(v) else None for k, v in study.figures.items()}
+        part.write_text(json.dumps(finite, indent=1, allow_nan=False), "utf-8")
+    figure = _panels(study) if study.panels else _side_slips(study)
+    with atomic_file(folder / f"{study.name}.png") as part:
+        figure.savefig(str(part), dpi=110)
+
+
+def _panels(study: Study) -> Figure:
+    """The study's own panels, one above the other."""
+    figure = Figure(figsize=(10, 3.1 * len(study.panels)), layout="constrained")
+    # a curve keeps its style from panel to panel
+    labels = dict.fromkeys(curve.label for panel in study.panels for curve in panel.curves)
+    styles = dict(zip(labels, cycle(_STYLES), strict=False))
+    for row, panel in enumerate(study.panels):
+        axes = figure.add_subplot(len(study.panels), 1, row + 1)
+        for curve in panel.curves:
+            axes.plot(curve.stamp_s, curve.value, styles[curve.label], lw=1.1, label=curve.label)
+        for mark in panel.marks:
+            axes.axhline(mark, color="0.5", lw=0.8, ls="--")
+        axes.set_ylabel(panel.label)
+        axes.set_xlabel(panel.x_label)
+        axes.grid(alpha=0.3)
+        if row == 0:
+            axes.set_title(f"{study.name}: {study.title}, first drive")
+        if len(panel.curves) > 1:
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+    return figure
+
+
+def _side_slips(study: Study) -> Figure:
+    """Side-slip over time, and what the estimates miss."""
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     truth = study.curves[0]
@@ -87,5 +150,4 @@ def write_study(study: Study, folder: Path) -> None:
     upper.legend(loc="upper right", ncols=2)
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
-    with atomic_file(folder / f"{study.name}.png") as part:
-        figure.savefig(str(part), dpi=110)
+    return figure

@@ -90,6 +90,55 @@ class LateralStabilityController:
         return LateralCommand(float(command[0]), float(command[1]), saturated)
 
 
+@dataclass(frozen=True, slots=True)
+class GuardSettings:
+    """When the car goes back to the driver, and how fast.
+
+    Attributes:
+        slip_limit: slip of a driven wheel, either way, above which it is about to break away.
+        release_s: time in which the controller's share falls from one to nothing.
+        return_s: time in which it comes back after the wheels grip again.
+    """
+
+    slip_limit: float = 0.12
+    release_s: float = 0.05
+    return_s: float = 1.0
+
+
+class GripGuard:
+    """Hands the car back to the driver while its driven wheels break away.
+
+    The model inverted by the controller knows no friction. Where the ground cannot carry the yaw
+    moment, more of it spins the wheels, they lose their side force and the car turns round; the
+    uncontrolled car would not have. The guard moves the command towards the driver's steering and
+    no moment, and says how much of the controller is left.
+    """
+
+    def __init__(self, settings: GuardSettings | None = None) -> None:
+        self._settings = settings or GuardSettings()
+        self.authority = 1.0
+
+    def step(
+        self, command: LateralCommand, driver_rad: float, worst_slip: float, dt_s: float
+    ) -> LateralCommand:
+        """The command with what share of the controller the grip allows.
+
+        Args:
+            driver_rad: road-wheel angle that the driver asks for.
+            worst_slip: largest |slip| of the driven wheels.
+            dt_s: time since the last step.
+        """
+        s = self._settings
+        fast = -dt_s / s.release_s if abs(worst_slip) > s.slip_limit else dt_s / s.return_s
+        self.authority = min(1.0, max(0.0, self.authority + fast))
+        share = self.authority
+        return LateralCommand(
+            driver_rad + share * (command.steer_rad - driver_rad),
+            share * command.yaw_moment_nm,
+            command.saturated or share < 1.0,
+        )
+
+
 def allocate(b: Floats, wanted: Floats, limits: Floats, weights: Floats) -> Floats:
     """The command within +-limits `(2,)` that comes closest to `b u = wanted` in weighted squares.
 

@@ -93,11 +93,21 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class StanleySettings:
-    """Gain of the cross-track error, speed that softens it when slow, and yaw damping."""
+    """Gains of the law.
+
+    Attributes:
+        gain_per_s: k, of the cross-track error.
+        softening_mps: k_soft, keeps the cross-track term mild when slow.
+        yaw_damping_s: k_d, on the yaw rate beyond the path's.
+        front_slip_rad_per_mps2: k_ag, slip of the front tyres per lateral acceleration,
+            m lr / (2 Cf l); without it a bend is driven on its outer side.
+        steer_limit_rad: of the road wheels.
+    """
 
     gain_per_s: float = 1.5
     softening_mps: float = 1.0
     yaw_damping_s: float = 0.05
+    front_slip_rad_per_mps2: float = 0.0
     steer_limit_rad: float = 0.5
 
 
@@ -112,10 +122,11 @@ def stanley_steer(
 ) -> tuple[float, PathError]:
     """Road-wheel angle that leads the front axle onto the path, and the front axle's error.
 
-    delta = atan(curvature l) - heading error - atan(k e / (k_soft + v)) - k_d (yaw rate - v kappa).
+    delta = -heading error - atan(k e / (k_soft + v)) + k_ag v^2 kappa - k_d (yaw rate - v kappa),
+    all at the front axle.
 
     Source: Hoffmann, Tomlin, Montemerlo, Thrun, Autonomous automobile trajectory tracking for
-    off-road driving, ACC 2007, (9)-(11).
+    off-road driving, ACC 2007, (9)-(12).
     """
     front_x = rear_pose.x_m + wheelbase_m * np.cos(rear_pose.yaw_rad)
     front_y = rear_pose.y_m + wheelbase_m * np.sin(rear_pose.yaw_rad)
@@ -124,6 +135,7 @@ def stanley_steer(
     # front wheel of a car on a circle stands along the circle's tangent there
     steer = -error.heading_rad
     steer -= atan2(settings.gain_per_s * error.lateral_m, settings.softening_mps + abs(speed_mps))
+    steer += settings.front_slip_rad_per_mps2 * speed_mps**2 * error.curvature_radpm
     steer -= settings.yaw_damping_s * (yaw_rate_radps - speed_mps * error.curvature_radpm)
     limit = settings.steer_limit_rad
     return max(-limit, min(limit, steer)), error

@@ -29,7 +29,7 @@ class SlipRatioSettings:
     linear_gain_per_s: float = 20.0
     switching_gain_per_s: float = 5.0
     boundary: float = 0.02
-    observer_cutoff_radps: float = 200.0
+    observer_cutoff_radps: float = 400.0
     floor_speed_mps: float = 0.5
 
 

@@ -15,6 +15,7 @@ from vehicle.parameters import Car
 from vehicle.signals import SignalLog, play
 from vehicle.studies.convergence import frame_radii, update_jumps
 from vehicle.studies.scenes import Scene, Simulated, drive_with_camera, drive_with_gps
+from vehicle.studies.study import Curve, Line, Report, Study
 
 Floats = NDArray[np.float64]
 SETTLED_S, EVERY = 1.5, 5
@@ -37,37 +38,6 @@ ROLL_RAD_PER_MPS2, ACCELERATION_BIAS_MPS2 = 0.007, 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """A row of a study's table."""
-
-    name: str
-    ours: str
-    expected: str
-    claim: str
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """A picture's curve over time."""
-
-    label: str
-    stamp_s: Floats
-    value: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Study:
-    """What a study brings: a table, curves of side-slip in the first drive, and remarks."""
-
-    name: str
-    title: str
-    lines: tuple[Line, ...]
-    curves: tuple[Curve, ...]
-    remarks: tuple[str, ...]
-    figures: dict[str, float]
-
-
-@dataclass(frozen=True, slots=True)
 class Outcome:
     """Errors of one estimator over all seeds."""
 
@@ -75,9 +45,6 @@ class Outcome:
     sd_rad: float
     nees: float
     spread_rad: float
-
-
-Report = Callable[[int], None]
 
 
 def outcome(

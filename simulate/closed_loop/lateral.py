@@ -1,0 +1,152 @@
+"""A run of the plant under a lateral controller that sees only an estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.closed_loop.sensing import Measured, SensorFeed, SensorModel
+from simulate.plant import Friction, Plant, PlantInput, PlantParameters, PlantState
+from vehicle.control.body_slip import distribute_torque
+from vehicle.estimators.base import Estimate, Estimator
+
+Floats = NDArray[np.float64]
+_SPEED_GAIN_PER_S = 2.0
+
+
+class Command(NamedTuple):
+    """What a lateral controller asks for, and what it aims at."""
+
+    steer_rad: float
+    yaw_moment_nm: float
+    saturated: bool = False
+    sideslip_reference_rad: float = 0.0
+    yaw_rate_reference_radps: float = 0.0
+
+
+class LateralControl(Protocol):
+    """A controller: the driver's steering and what is known, to a command."""
+
+    def __call__(
+        self, driver_rad: float, seen: Estimate, measured: Measured, dt_s: float
+    ) -> Command: ...
+
+
+class Driver(Protocol):
+    """Road-wheel angle over time."""
+
+    def __call__(self, stamp_s: float) -> float: ...
+
+
+@dataclass(frozen=True, slots=True)
+class LateralRun:
+    """Everything over time, each `(n,)`."""
+
+    stamp_s: Floats
+    sideslip_rad: Floats
+    yaw_rate_radps: Floats
+    estimate_rad: Floats
+    sideslip_reference_rad: Floats
+    yaw_rate_reference_radps: Floats
+    steer_rad: Floats
+    yaw_moment_nm: Floats
+    saturated: NDArray[np.bool_]
+    speed_mps: Floats
+
+    def error_rms_rad(self, start_s: float = 0.0) -> float:
+        """Side-slip against its reference."""
+        late = self.stamp_s >= start_s
+        error = (self.sideslip_rad - self.sideslip_reference_rad)[late]
+        return float(np.sqrt(np.mean(error**2)))
+
+    def peak_rad(self) -> float:
+        """Largest side-slip."""
+        return float(np.abs(self.sideslip_rad).max())
+
+    def moment_peak_nm(self) -> float:
+        """Largest yaw moment of the rear motors."""
+        return float(np.abs(self.yaw_moment_nm).max())
+
+    def moment_step_nm(self) -> float:
+        """RMS of the command's steps: how rough it is."""
+        return float(np.sqrt(np.mean(np.diff(self.yaw_moment_nm) ** 2)))
+
+
+def run_lateral(
+    parameters: PlantParameters,
+    speed_mps: float,
+    duration_s: float,
+    driver: Driver,
+    control: LateralControl | None,
+    *,
+    rng: np.random.Generator,
+    friction: Friction = lambda _east, _north: 0.9,
+    sensors: SensorModel | None = None,
+    estimator: Estimator | None = None,
+    late: tuple[str, ...] = (),
+    hold_s: float = 0.0,
+) -> LateralRun:
+    """Drive at constant speed; without `control` the driver's steering passes.
+
+    Args:
+        estimator: what the controller sees through; None shows it the truth.
+        hold_s: above 0 the controller runs and sees the estimate only so often, and its command
+            is held between: one rate for all.
+    """
+    plant = Plant(parameters, friction)
+    feed = SensorFeed(parameters, sensors or SensorModel(), rng, estimator, late)
+    state = plant.rolling(speed_mps)
+    command, due = Command(0.0, 0.0), 0.0
+    seen: Estimate | None = None
+    rows: list[tuple[float, ...]] = []
+    for _ in range(round(duration_s / plant.step_s)):
+        measured = feed.step(state)
+        wanted = driver(state.time_s)
+        if control is None:
+            command = Command(wanted, 0.0)
+        elif hold_s <= 0.0:
+            seen = _see(state, estimator)
+            command = control(wanted, seen, measured, plant.step_s)
+        elif state.time_s >= due - 1e-9:
+            seen = _see(state, estimator)
+            command = control(wanted, seen, measured, hold_s)
+            due += hold_s
+        left, right = distribute_torque(
+            command.yaw_moment_nm,
+            _SPEED_GAIN_PER_S * (speed_mps - measured.speed_mps),
+            mass_kg=parameters.mass_kg,
+            radius_m=parameters.wheel_radius_m,
+            rear_track_m=parameters.track_m,
+            torque_limit_nm=parameters.torque_limit_nm,
+        )
+        now = state
+        state = plant.step(state, PlantInput(command.steer_rad, (0.0, 0.0, left, right)))
+        rows.append(
+            (
+                now.time_s,
+                now.sideslip_rad(),
+                now.yaw_rate_radps,
+                seen.value("sideslip_rad") if seen is not None else np.nan,
+                command.sideslip_reference_rad,
+                command.yaw_rate_reference_radps,
+                now.steer_rad,
+                command.yaw_moment_nm,
+                float(command.saturated),
+                now.vx_mps,
+            )
+        )
+    c = np.array(rows).T
+    return LateralRun(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8] > 0.5, c[9])
+
+
+_TRUE_FIELDS = ("sideslip_rad", "yaw_rate_radps")
+
+
+def _see(state: PlantState, estimator: Estimator | None) -> Estimate:
+    if estimator is not None:
+        return estimator.estimate()
+    true = np.array([state.sideslip_rad(), state.yaw_rate_radps])
+    return Estimate(state.time_s, _TRUE_FIELDS, true, np.zeros(2))

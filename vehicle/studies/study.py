@@ -1,0 +1,60 @@
+"""What every study brings: a table of figures beside a paper's claims, and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Report = Callable[[int], None]
+"""Called with the number of runs that are done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A row of a study's table."""
+
+    name: str
+    ours: str
+    expected: str
+    claim: str
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A picture's curve over time."""
+
+    label: str
+    stamp_s: Floats
+    value: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Curves that share an axis: its label with the unit, and values to mark by a line across."""
+
+    label: str
+    curves: tuple[Curve, ...]
+    marks: tuple[float, ...] = ()
+    x_label: str = "time, s"
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What a study brings.
+
+    `curves` are side-slips in the first drive, truth first; a study with `panels` shows those
+    instead. `headings` are the three columns beside a row's name.
+    """
+
+    name: str
+    title: str
+    lines: tuple[Line, ...]
+    curves: tuple[Curve, ...]
+    remarks: tuple[str, ...]
+    figures: dict[str, float]
+    panels: tuple[Panel, ...] = ()
+    headings: tuple[str, str, str] = ("ours", "errata", "the paper says")
