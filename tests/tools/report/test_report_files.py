@@ -54,6 +54,10 @@ def test_files_and_contract(report: Path) -> None:
         name.rsplit(".", 1)[0] for name in names if name.endswith("png")
     }
     assert not list(report.rglob("*.part"))
+    # the localizability lies on the map as a band, and stands along the way as a picture
+    page = (report / "report.html").read_text()
+    assert re.search(r'<g class="bound bound[012]"><path d="M[-\d.]+ [-\d.]+L', page)
+    assert "synthetic-localizability-picture.svg" in names
 
 
 def test_figures_agree_with_what_was_put_in(report: Path) -> None:
