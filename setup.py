@@ -1,4 +1,4 @@
-"""Builds the two C++17 kernels where a compiler is found, and goes on without them elsewhere."""
+"""Builds the three C++17 kernels where a compiler is found, and goes on without them elsewhere."""
 
 from pathlib import Path
 
@@ -8,6 +8,7 @@ from setuptools import setup
 KERNELS = {
     "stereo.native.census_kernel": "stereo/native/census_kernel.cpp",
     "polemap.native.assignment_kernel": "polemap/native/assignment_kernel.cpp",
+    "simulate.native.shading_kernel": "simulate/native/shading_kernel.cpp",
 }
 # Python's own flags bring -fwrapv, under which GCC 12 no longer vectorises the matcher's loops:
 # measured, it is fifteen times slower with it

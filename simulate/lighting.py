@@ -17,7 +17,6 @@ _MAP_LIMIT_PX = 5000
 _BIAS_M = 0.06
 _CELL_M = 0.07
 _TRANSLUCENT = 0.5
-_SHADOW_REACH_M = 14.0
 
 
 def _dot(vectors: Floats32, axis: Floats32) -> Floats32:
@@ -67,15 +66,17 @@ class Lighting:
     cloudiness: float
     dusk: bool
     shadow_map: ShadowMap | None
-    static: Caster | None
+
+    @property
+    def glare(self) -> float:
+        """Brightness of the horizon: beside a clear sky's light on the ground it glares."""
+        return 1.5 + 3.1 * min(self.sun, 1.0)
 
     def sky(self, direction: Floats32) -> Floats32:
         """Radiance of the sky `(n,)` along directions `(n, 3)` of any length."""
         length = np.sqrt(np.einsum("ij,ij->i", direction, direction))
         rise = np.clip(direction[:, 2] / length, 0.0, 1.0)
-        # beside a clear sky's light on the ground the horizon glares; under clouds it does not
-        glare = 1.5 + 3.1 * min(self.sun, 1.0)
-        base = self.ambient * glare * (1.0 - 0.48 * np.sqrt(rise))
+        base = self.ambient * self.glare * (1.0 - 0.48 * np.sqrt(rise))
         if self.dusk:
             toward = direction[:, :2] @ self.to_sun[:2] / length
             base = base * (0.55 + 0.45 * np.clip(toward, 0, 1)) * (1 - 0.5 * rise)
@@ -86,15 +87,12 @@ class Lighting:
         return np.asarray(base * (1 + self.cloudiness * cloud), dtype=np.float32)
 
     def on(
-        self,
-        points_m: Floats32,
-        normals: Floats32,
-        leafy: NDArray[np.bool_],
-        movers: Caster | None,
-    ) -> Floats32:
-        """Irradiance `(n,)` on surfaces with unit normals that face the viewer.
+        self, points_m: Floats32, normals: Floats32, leafy: NDArray[np.bool_]
+    ) -> tuple[Floats32, Floats32]:
+        """Light of the sky and of the sun, `(n,)` each, on surfaces that face the viewer.
 
-        Leaves let a part of the light through from behind.
+        Leaves let a part of the light through from behind. Only the shadow map dims the sun here.
+        Sunny points move off their surfaces, in place, to where shadow rays may start.
         """
         cosine = _dot(normals, self.to_sun)
         cosine = np.maximum(cosine, cosine * (leafy * np.float32(-_TRANSLUCENT)))
@@ -102,30 +100,14 @@ class Lighting:
             self.ambient * (0.55 + 0.45 * normals[:, 2]) + 0.03 * self.sun * (1 - normals[:, 2]),
             dtype=np.float32,
         )
+        sunlight = np.zeros(len(light), dtype=np.float32)
         sunny = np.flatnonzero(cosine > 0.0)
         if not len(sunny) or self.sun == 0.0:
-            return light
-        at = points_m[sunny]
-        at += 0.02 * normals[sunny]
-        if self.shadow_map is not None:
-            share = self.shadow_map.lit(at)
-        elif self.static is not None:
-            share = 1.0 - self._blocked(self.static, at)
-        else:
-            # without shadows the moving things cast none either
-            light[sunny] += np.float32(self.sun) * cosine[sunny]
-            return light
-        if movers is not None:
-            near = np.flatnonzero(movers.may_shade(at, _SHADOW_REACH_M) & (share > 0))
-            share[near] *= 1.0 - self._blocked(movers, at[near])
-        light[sunny] += np.float32(self.sun) * cosine[sunny] * share
-        return light
-
-    def _blocked(self, caster: Caster, points_m: Floats32) -> NDArray[np.bool_]:
-        rays = np.empty((len(points_m), 6), dtype=np.float32)
-        rays[:, :3] = points_m
-        rays[:, 3:] = self.to_sun
-        return caster.blocked(rays)
+            return light, sunlight
+        points_m[sunny] += 0.02 * normals[sunny]
+        share = 1.0 if self.shadow_map is None else self.shadow_map.lit(points_m[sunny])
+        sunlight[sunny] = np.float32(self.sun) * cosine[sunny] * share
+        return light, sunlight
 
 
 def sun_direction(elevation_deg: float, azimuth_deg: float) -> Floats32:
@@ -151,7 +133,6 @@ def make_lighting(world: World, static: Caster, shadows: bool, by_rays: bool) ->
         0.35 * spec.clouds,
         spec.dusk,
         shadow_map,
-        static if shadows and by_rays else None,
     )
 
 

@@ -53,11 +53,11 @@ def open3d() -> Any:
 class Hits:
     """First intersections of n rays; `depth` counts in lengths of the ray, infinite for none.
 
-    `triangle` `(n,)` int64 (undefined without a hit), `bary` `(n, 2)`, `normal` `(n, 3)`.
+    `triangle` `(n,)` uint32 (0 without a hit), `bary` `(n, 2)`, `normal` `(n, 3)`.
     """
 
     depth: Floats32
-    triangle: NDArray[np.int64]
+    triangle: NDArray[np.uint32]
     bary: Floats32
     normal: Floats32
 
@@ -86,27 +86,26 @@ class Caster:
         if self.empty or count == 0:
             return Hits(
                 np.full(count, np.inf, np.float32),
-                np.zeros(count, np.int64),
+                np.zeros(count, np.uint32),
                 np.zeros((count, 2), np.float32),
                 np.zeros((count, 3), np.float32),
             )
         found = self._scene.cast_rays(
             self._tensor(np.ascontiguousarray(rays)), nthreads=self._threads
         )
-        triangle = found["primitive_ids"].numpy().astype(np.int64)
+        triangle = found["primitive_ids"].numpy()
         depth = found["t_hit"].numpy()
         triangle[~np.isfinite(depth)] = 0
         return Hits(
             depth, triangle, found["primitive_uvs"].numpy(), found["primitive_normals"].numpy()
         )
 
-    def may_shade(self, points_m: Floats32, reach_m: float) -> NDArray[np.bool_]:
-        """Which points `(n, 3)` lie within `reach_m` sideways of the mesh's bounding box."""
+    def around(self, reach_m: float) -> tuple[float, float, float, float] | None:
+        """West, south, east and north end of all within `reach_m` of the mesh; None if empty."""
         if self.empty:
-            return np.zeros(len(points_m), dtype=np.bool_)
-        low, high = self._low - np.float32(reach_m), self._high + np.float32(reach_m)
-        x, y = points_m[:, 0], points_m[:, 1]
-        return np.asarray((x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]))
+            return None
+        low, high = self._low - reach_m, self._high + reach_m
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
     def blocked(self, rays: Floats32) -> NDArray[np.bool_]:
         """Which rays `(n, 6)` hit anything at all."""

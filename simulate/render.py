@@ -12,17 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.lighting import Lighting, make_lighting
+from simulate.lighting import make_lighting
 from simulate.mesh import Mesh, join
 from simulate.raycast import Caster, Hits
-from simulate.textures import TILES, make_atlas
+from simulate.shading import Shaded, make_shader
+from simulate.textures import make_atlas
 from simulate.world import World
 from stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-SKY_OWNER = -1
-_BLOCK = 24_576
+_SHADOW_REACH_M = 14.0
+_EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +60,13 @@ class Renderer:
         self.world = world
         self.rig = rig
         self.options = options or RenderOptions()
-        self._atlas = make_atlas(world.seed)
         self._static = Caster(world.mesh, self.options.threads)
-        self._light: Lighting = make_lighting(
-            world, self._static, self.options.shadows, self.options.shadow_rays
-        )
+        light = make_lighting(world, self._static, self.options.shadows, self.options.shadow_rays)
+        self._shader = make_shader(make_atlas(world.seed), light, rig.focal_px)
         u, v = np.meshgrid(np.arange(rig.width_px), np.arange(rig.height_px))
         pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32)
         self._pixels = pixels
         self._shifts = _shifts(self.options.edge_rays)
-        self._leafy = np.zeros(len(TILES), dtype=np.bool_)
-        self._gloss = np.zeros(len(TILES), dtype=np.float32)
-        self._gloss[TILES["glass"]], self._gloss[TILES["enamel"]] = 0.22, 0.05
-        self._leafy[[TILES["leaves"], TILES["foliage"]]] = True
 
     def pair(self, poses: tuple[CameraPose, CameraPose], moving: Mesh) -> tuple[View, View]:
         """Left and right view of the world with the moving things at their places."""
@@ -118,7 +113,7 @@ class Renderer:
         same[below == np.arange(odd_rows)] = False
         out = Hits(
             np.empty(height * width, np.float32),
-            np.empty(height * width, np.int64),
+            np.empty(height * width, np.uint32),
             np.empty((height * width, 2), np.float32),
             np.empty((height * width, 3), np.float32),
         )
@@ -158,23 +153,13 @@ class Renderer:
         pose: CameraPose,
         moving: Mesh,
         movers: Caster,
-    ) -> tuple[Floats32, Floats32, NDArray[np.int32], NDArray[np.bool_]]:
-        """Irradiance, depth, owner and leafiness `(n,)` along the rays through the pixels."""
-        count = len(rays)
-        light = np.empty(count, dtype=np.float32)
-        mesh = self.world.mesh
-        # blocks that stay in the cache
-        for start in range(0, count, _BLOCK):
-            part = slice(start, start + _BLOCK)
-            light[part] = self._shade(mesh, hits.rows(part), rays[part, 3:], pose, movers)
-        depth = hits.depth
-        seen = np.isfinite(depth)
-        owner = np.where(seen, mesh.owner[hits.triangle], SKY_OWNER)
-        leafy = seen & self._leafy[mesh.tile[hits.triangle]]
+    ) -> Shaded:
+        """What the rays through the pixels see; `hits` receive the depth of moving things."""
+        shaded = self._shade(self.world.mesh, hits, rays, movers)
         if len(moving):
             candidates = self._may_see(moving, pixels, pose)
-            self._over(moving, movers, rays, candidates, pose, light, depth, owner)
-        return light, depth, owner, leafy
+            self._over(moving, movers, rays, candidates, shaded, hits.depth)
+        return shaded
 
     def _over(
         self,
@@ -182,10 +167,8 @@ class Renderer:
         movers: Caster,
         rays: Floats32,
         candidates: NDArray[np.int64],
-        pose: CameraPose,
-        light: Floats32,
+        shaded: Shaded,
         depth: Floats32,
-        owner: NDArray[np.int32],
     ) -> None:
         """Lays the moving things over the static picture, in place, where they may be."""
         if not len(candidates):
@@ -196,9 +179,9 @@ class Renderer:
             return
         rows = candidates[nearer]
         part = hits.rows(nearer)
-        light[rows] = self._shade(moving, part, rays[rows, 3:], pose, movers)
+        over = self._shade(moving, part, rays[rows], movers)
+        shaded.light[rows], shaded.owner[rows] = over.light, over.owner
         depth[rows] = part.depth
-        owner[rows] = moving.owner[part.triangle]
 
     def _may_see(self, moving: Mesh, pixels: Floats32, pose: CameraPose) -> NDArray[np.int64]:
         """Rows of the pixels inside the bounding box of a moving thing's projection."""
@@ -220,73 +203,36 @@ class Renderer:
             )  # fmt: skip
         return np.flatnonzero(inside)
 
-    def _shade(
-        self, mesh: Mesh, hits: Hits, direction: Floats32, pose: CameraPose, movers: Caster
-    ) -> Floats32:
-        """Irradiance `(n,)` of the hit surfaces, or of the sky."""
-        seen = np.isfinite(hits.depth)
-        if seen.all():
-            return self._surface(mesh, hits, direction, pose, movers)
-        out = np.empty(len(seen), dtype=np.float32)
-        found, empty = np.flatnonzero(seen), np.flatnonzero(~seen)
-        out[empty] = self._light.sky(direction[empty])
-        if len(found):
-            out[found] = self._surface(mesh, hits.rows(found), direction[found], pose, movers)
-        return out
-
-    def _surface(
-        self, mesh: Mesh, hits: Hits, ray: Floats32, pose: CameraPose, movers: Caster
-    ) -> Floats32:
-        surface = np.take(mesh.surface, hits.triangle, axis=0)
-        uv = surface[:, 0:2] + hits.bary[:, :1] * surface[:, 2:4]
-        uv += hits.bary[:, 1:] * surface[:, 4:6]
-        facing = np.einsum("ij,ij->i", hits.normal, ray)
-        normal = hits.normal * -np.sign(facing)[:, None]
-        reach = np.sqrt(np.einsum("ij,ij->i", ray, ray))
-        grazing = np.maximum(np.abs(facing) / reach, 0.03)
-        # the geometric mean of the two axes of the footprint: between blur and aliasing
-        footprint = hits.depth * surface[:, 7] / np.sqrt(grazing)
-        footprint *= np.float32(1 / self.rig.focal_px)
-        tile = np.take(mesh.tile, hits.triangle)
-        albedo = self._atlas.sample(tile, uv, footprint)
-        albedo *= surface[:, 6]
-        point = pose.position_m.astype(np.float32) + ray * hits.depth[:, None]
-        albedo *= 2.0 * self._atlas.sample_one(TILES["macro"], _unfold(point, normal))
-        albedo *= self._light.on(point, normal, np.take(self._leafy, tile), movers)
-        gloss = np.take(self._gloss, tile)
-        shiny = np.flatnonzero(gloss)
-        if len(shiny):
-            unit = ray[shiny] / reach[shiny, None]
-            across = np.einsum("ij,ij->i", unit, normal[shiny])
-            mirrored = unit - 2 * across[:, None] * normal[shiny]
-            # Schlick's approximation: everything mirrors at a grazing angle
-            share = gloss[shiny] + (1 - gloss[shiny]) * 0.7 * (1 + across) ** 5
-            albedo[shiny] += share * self._light.sky(mirrored) * self._reflection(mirrored)
-        return albedo
-
-    def _reflection(self, direction: Floats32) -> Floats32:
-        """What glass mirrors besides the sky: blotches that slide as the car moves."""
-        seen = self._atlas.sample_one(TILES["foliage"], direction[:, :2] * np.float32(0.6), 2)
-        return np.asarray(np.clip(0.3 + 3.0 * seen, 0, 2), dtype=np.float32)
+    def _shade(self, mesh: Mesh, hits: Hits, rays: Floats32, movers: Caster) -> Shaded:
+        """What the rays see of one mesh, with the shadows of all."""
+        by_rays = self.options.shadows and self.options.shadow_rays
+        near = movers.around(_SHADOW_REACH_M) if self.options.shadows else None
+        shaded = self._shader.shade(mesh, hits, rays, _EVERYWHERE if by_rays else near)
+        if len(shaded.asked):
+            blocked = movers.blocked(shaded.to_sun)
+            if by_rays:
+                blocked |= self._static.blocked(shaded.to_sun)
+            shaded.light[shaded.asked[blocked]] -= shaded.sunlight[blocked]
+        return shaded
 
     def _view(self, pose: CameraPose, moving: Mesh, movers: Caster) -> View:
         shape = (self.rig.height_px, self.rig.width_px)
         rays = self._rays(self._pixels, pose)
         hits = self._cast_picture(rays)
-        light, depth, owner, leafy = self._trace(self._pixels, rays, hits, pose, moving, movers)
+        seen = self._trace(self._pixels, rays, hits, pose, moving, movers)
+        light, depth = seen.light.reshape(shape), hits.depth.reshape(shape)
+        owner = seen.owner.reshape(shape)
         if self.options.edge_rays:
-            marks = _edges(depth.reshape(shape), owner.reshape(shape), leafy.reshape(shape))
-            rows = np.flatnonzero(marks.ravel())
-            total = light[rows].copy()
-            for k in range(self.options.edge_rays):
-                pixels = self._pixels[rows] + self._shifts[k]
+            rows = np.flatnonzero(_edges(depth, owner, seen.leafy.reshape(shape)))
+            total = seen.light[rows]
+            for shift in self._shifts:
+                pixels = self._pixels[rows] + shift
                 more = self._rays(pixels, pose)
-                hits = self._static.cast(more)
-                total += self._trace(pixels, more, hits, pose, moving, movers)[0]
-            light[rows] = total / (1 + self.options.edge_rays)
-        return View(
-            light.reshape(shape), depth.reshape(shape), owner.reshape(shape).astype(np.int32)
-        )
+                total += self._trace(
+                    pixels, more, self._static.cast(more), pose, moving, movers
+                ).light
+            seen.light[rows] = total / (1 + self.options.edge_rays)
+        return View(light, depth, owner)
 
     def true_disparity(self, view: View) -> Floats32:
         """Disparity in pixels `(height, width)`; 0 in the sky."""
@@ -294,16 +240,6 @@ class Renderer:
             return np.asarray(
                 self.rig.focal_px * self.rig.baseline_m / view.depth_m, dtype=np.float32
             )
-
-
-def _unfold(points_m: Floats32, normals: Floats32) -> Floats32:
-    """Coordinates `(n, 2)` of the large stains: from above on the ground, along and up on walls."""
-    upright = np.abs(normals[:, 2]) < 0.7
-    out = np.empty((len(points_m), 2), dtype=np.float32)
-    out[:, 0] = points_m[:, 0] + points_m[:, 1] * (upright * np.float32(0.83))
-    out[:, 1] = np.where(upright, points_m[:, 2] * np.float32(1.7), points_m[:, 1])
-    out *= np.float32(0.041)
-    return out
 
 
 def _shifts(count: int) -> Floats32:

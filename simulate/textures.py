@@ -291,6 +291,8 @@ def read_picture(picture: NDArray[np.generic], place_px: Floats32, **how: object
     """A picture's values `(n,)` at places `(n, 2)` (column, row), bilinear unless told."""
     # cv2.remap wants a request in the shape of a picture below 32768 rows
     count = len(place_px)
+    if count == 0:
+        return np.empty(0, dtype=np.float32)
     columns = 256
     rows = -(-count // columns)
     request = place_px

@@ -44,12 +44,13 @@ DEFAULT = (
 
 
 @dataclass(frozen=True, slots=True)
-class _Case:
+class Case:
     """A scene with its car; runs of it differ by what closes the loop."""
 
     car: Car
     corner: Corner
     friction: float
+    duration_s: float = DURATION_S
 
     def run(
         self, name: str, seed: int, settings: CornerSettings | None = None, hold_s: float = 0.0
@@ -62,7 +63,7 @@ class _Case:
         return run_lateral(
             plant_of(with_stiffness(self.car, real)),
             SPEED_MPS,
-            DURATION_S,
+            self.duration_s,
             self.corner,
             _Watched(loop) if name == NONE else loop,
             rng=np.random.default_rng(seed),
@@ -99,14 +100,14 @@ def cornering_study(
         ConfigError: an estimator that needs a camera, or has no side-slip.
     """
     names = choose(NAME, estimators, DEFAULT, (GPS,), "sideslip_rad")
-    dry = _Case(car, Corner(), 0.9)
+    dry = Case(car, Corner(), 0.9)
     settled, begin = dry.corner.settled_s, dry.corner.begin_s
     lines: list[Line] = []
     figures: dict[str, float] = {"moment_limit_nm": yaw_moment_limit_nm(car)}
     curves: dict[str, LateralRun] = {}
 
     def several(
-        case: _Case, name: str, settings: CornerSettings, hold_s: float = 0.0
+        case: Case, name: str, settings: CornerSettings, hold_s: float = 0.0
     ) -> list[LateralRun]:
         runs = [case.run(name, seed, settings, hold_s) for seed in range(seeds)]
         report(seeds)
@@ -155,7 +156,7 @@ def cornering_study(
             ),
         ]
         curves[name] = done[0]
-    ice = _Case(car, Corner(ICE_STEER_RAD), ICE)
+    ice = Case(car, Corner(ICE_STEER_RAD), ICE)
     lines += _ice(ice, names[-1], seeds, figures)
     report(3 * seeds)
     remarks = (
@@ -180,7 +181,7 @@ def cornering_study(
     )
 
 
-def _ice(ice: _Case, name: str, seeds: int, figures: dict[str, float]) -> list[Line]:
+def _ice(ice: Case, name: str, seeds: int, figures: dict[str, float]) -> list[Line]:
     """The corner where the ground carries too little: free, with the guard, and without it."""
     lines = []
     for key, label, who, settings in (

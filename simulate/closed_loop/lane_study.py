@@ -37,7 +37,7 @@ DEFAULT = (
 )
 
 
-def _run(
+def run_lane(
     car: Car, name: str, gains: PiGains | None, seed: int, hold_s: float, driver: LaneChange
 ) -> LateralRun:
     estimated = name not in (TRUTH, NONE)
@@ -92,7 +92,7 @@ def lane_study(
     curves: dict[str, LateralRun] = {}
 
     def note(label: str, name: str, gains: PiGains | None, hold_s: float, claim: str = "") -> None:
-        runs = [_run(car, name, gains, seed, hold_s, driver) for seed in range(seeds)]
+        runs = [run_lane(car, name, gains, seed, hold_s, driver) for seed in range(seeds)]
         report(seeds)
         key = label.replace(", ", "_").replace(" ", "_")
         rms = float(np.mean([r.error_rms_rad(driver.begin_s) for r in runs]))

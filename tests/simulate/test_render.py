@@ -11,13 +11,13 @@ from simulate.mesh import box, cylinder, join, quads
 from simulate.raycast import Caster
 from simulate.render import (
     NOTHING,
-    SKY_OWNER,
     CameraPose,
     Renderer,
     RenderOptions,
     camera_poses,
     rotation_from_angles,
 )
+from simulate.shading import SKY_OWNER
 from simulate.textures import TILES
 from simulate.world import World
 from stereo.rig import Mounting, StereoRig

@@ -1,0 +1,1 @@
+"""Shading in C++17 (built at installation where a compiler is found)."""
