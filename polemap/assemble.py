@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from drivelog.frames import EarthFrame
 from polemap.align import NO_SHIFT, Shift, register
 from polemap.city.tiles import Run, here, merge_tiles
+from polemap.drift import Drift, measure_drift
 from polemap.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.history import COLUMN, OldMap, open_history, write_history
 from polemap.landmark_map import PoleMap, join_maps
@@ -70,6 +71,14 @@ def assemble_map(
     shifts = align_drives(ordered, old, config)
     if align:
         ordered = [part.moved(shifts[part.sightings.drive]) for part in ordered]
+    drifts = measure_drift(
+        [part.landmarks for part in ordered],
+        config,
+        fixed=old.landmarks if old is not None else None,
+        between=align,
+    )
+    if drifts is not None:
+        ordered = [part.levelled(drift) for part, drift in zip(ordered, drifts, strict=True)]
     landmarks = join_landmarks(
         [part.landmarks for part in ordered] + ([old.landmarks] if old else [])
     )
@@ -81,7 +90,7 @@ def assemble_map(
     merged, seen = merge_tiles(landmarks, apart, ordered, config, floor, run=run, tile_m=tile_m)
     evidences = _all_evidence(ordered, seen, old, merged)
     built = _finish(landmarks, merged, evidences, old, update, config, frame)
-    return replace(built, shifts=shifts, reports=_reports(ordered, shifts, align, merged))
+    return replace(built, shifts=shifts, reports=_reports(ordered, shifts, align, merged, drifts))
 
 
 def align_drives(
@@ -287,7 +296,11 @@ def _evidence_columns(
 
 
 def _reports(
-    ordered: Sequence[DriveObservations], shifts: dict[str, Shift], align: bool, merged: Merged
+    ordered: Sequence[DriveObservations],
+    shifts: dict[str, Shift],
+    align: bool,
+    merged: Merged,
+    drifts: Sequence[Drift] | None,
 ) -> tuple[str, ...]:
     reports = []
     for name, shift in shifts.items():
@@ -298,6 +311,12 @@ def _reports(
                 f"drive {name} {what} {shift.move_m[0]:+.2f} m east, {shift.move_m[1]:+.2f} m "
                 f"north ({shift.matches} poles){hint}"
             )
+    for part, drift in zip(ordered, drifts or (), strict=False):
+        if drift.size_m > 0.1:
+            reports.append(
+                f"drive {part.sightings.drive}: its reference drifts; its passes were levelled by "
+                f"{drift.size_m:.2f} m (rms), which leaves {np.median(drift.sd_m):.2f} m an axis"
+            )
     lost = sum(part.sightings.without_pose for part in ordered)
     if lost:
         reports.append(f"{lost} scans have no reference pose and were left out")
@@ -307,5 +326,6 @@ def _reports(
             "beyond the detector's own error, poles differ by "
             f"{error.pass_sd_m:.3f} m between passes of a drive ({error.pass_pairs} meetings) "
             f"and by {error.drive_sd_m:.3f} m between drives ({error.drive_pairs})"
+            + ("; --align would level them" if error.drive_sd_m > 0.2 and not align else "")
         )
     return tuple(reports)

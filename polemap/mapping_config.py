@@ -51,4 +51,11 @@ class MappingConfig(BaseModel):
         4.0, gt=0.0, description="Limit of all drives together, so that a map can still change."
     )
     align_max_m: float = Field(3.0, gt=0.0, description="Greatest shift between drives looked for.")
+    drift_sd_m: float = Field(
+        0.7, gt=0.0, description="Of a reference that drifts, an axis (with --align)."
+    )
+    drift_time_s: float = Field(100.0, gt=0.0, description="In which it forgets where it was.")
+    drift_least_m: float = Field(
+        0.12, ge=0.0, description="Passes that differ by less, 1 sd, are taken as they are."
+    )
     tile_m: float = Field(2000.0, gt=0.0, description="Edge of the tiles that workers merge.")

@@ -268,7 +268,11 @@ def fuse(
     clusters = int(owner.max()) + 1 if len(owner) else 0
     point, covariance, gain = weighted_mean(point, covariance, poles, clusters, gain)
     # no repetition averages away what the detector does wrong each time
-    return point, covariance + np.eye(2) * config.systematic_sd_m**2 + _common(gain, config)
+    covariance = covariance + np.eye(2) * config.systematic_sd_m**2 + _common(gain, config)
+    # passes that were laid onto each other are off together
+    number = np.maximum(np.bincount(owner, minlength=clusters), 1)
+    off = np.bincount(owner, landmarks.aligned_sd_m**2, clusters) / number
+    return point, covariance + off[:, None, None] * np.eye(2)
 
 
 def weighted_mean(

@@ -12,6 +12,7 @@ from drivelog.frames import EarthFrame
 from drivelog.samples import PoleScan
 from drivelog.streams import ReferenceStream
 from polemap.align import Shift, moved_landmarks, moved_sightings
+from polemap.drift import Drift, middle_s
 from polemap.mapping_config import MappingConfig
 from polemap.passes import PassLandmarks, associate, average_passes, together
 from polemap.sightings import Sightings, collect_sightings
@@ -44,6 +45,26 @@ class DriveObservations:
             self,
             sightings=moved_sightings(self.sightings, shift),
             landmarks=moved_landmarks(self.landmarks, shift),
+        )
+
+    def levelled(self, drift: Drift) -> DriveObservations:
+        """The same drive after a correction that changes along it."""
+        looks, landmarks = self.sightings.looks, self.landmarks
+        move = drift.at(looks.stamp_s)
+        poses = looks.poses + np.column_stack([move, np.zeros(len(move))])
+        time = middle_s(landmarks)
+        return replace(
+            self,
+            sightings=replace(
+                self.sightings,
+                looks=replace(looks, poses=poses),
+                points_m=self.sightings.points_m + move[self.sightings.look],
+            ),
+            landmarks=replace(
+                landmarks,
+                points_m=landmarks.points_m + drift.at(time),
+                aligned_sd_m=drift.sd_at(time),
+            ),
         )
 
 

@@ -36,6 +36,7 @@ class PassLandmarks:
         reference_sd_m: `(n,)` as the reference states it.
         gain_m_per_px: `(n, 2)` how far an error of one pixel of disparity, the same in all looks,
             moves it.
+        aligned_sd_m: `(n,)` what levelling of a drifting reference leaves, an axis; zero without.
         lever_m: `(n,)` mean range: what the reference's yaw acts on.
         direction_rad: `(n,)` mean direction from the car to the pole, from grid east.
         first_s, last_s: `(n,)` stamps of the first and last sighting.
@@ -49,6 +50,7 @@ class PassLandmarks:
     covariance_m2: Floats
     reference_sd_m: Floats
     gain_m_per_px: Floats
+    aligned_sd_m: Floats
     lever_m: Floats
     direction_rad: Floats
     width_m: Floats
@@ -214,6 +216,7 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
         covariance_m2=covariance,
         reference_sd_m=np.bincount(rows, weight * sightings.reference_sd_m, n) / total,
         gain_m_per_px=gain,
+        aligned_sd_m=np.zeros(n),
         lever_m=np.bincount(rows, weight * sightings.range_m, n) / total,
         direction_rad=direction,
         width_m=width,

@@ -94,6 +94,7 @@ def fence(n: int, step_m: float) -> PassLandmarks:
         covariance_m2=np.tile(np.eye(2) * 1e-3, (2 * n, 1, 1)),
         reference_sd_m=0.02 * ones,
         gain_m_per_px=0.1 * np.ones((2 * n, 2)),
+        aligned_sd_m=0.0 * ones,
         lever_m=10.0 * ones,
         direction_rad=ones,
         width_m=0.1 * ones,
