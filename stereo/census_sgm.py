@@ -9,12 +9,20 @@ import numpy as np
 
 from stereo.census import census_pairs
 from stereo.checks import check_pair
-from stereo.config import StereoConfig
+from stereo.config import StepPenalty, StereoConfig
 from stereo.errors import StereoError
 from stereo.matching_types import DisparityPair, Image
 from stereo.rig import StereoRig
 
 _ALPHA_ONE = 1 << 16
+_SMOOTHING = {"none": 0, "upright": 1, "square": 2}
+_SUBPIXEL = {"none": 0, "parabola": 1, "equiangular": 2}
+
+
+def _law(law: StepPenalty, bits: int) -> tuple[int, int, int, int]:
+    """P2 as the kernel takes it: p2_min, p2_max, gamma and alpha as a fraction of 2^16."""
+    alpha = round(law.alpha * _ALPHA_ONE / 2 ** (bits - 8))
+    return law.p2_min, law.p2_max, law.gamma, alpha
 
 
 class CensusSgm:
@@ -68,19 +76,21 @@ class CensusSgm:
         return self._kernel.CensusMatcher(
             pairs=census_pairs(config.census),
             bits=bits,
-            smoothing=config.smoothing,
+            smoothing=_SMOOTHING[config.smoothing],
             disparities=config.disparities,
             offset=config.min_disparity_px,
             paths=config.paths,
             own_right=config.right_map == "own",
             p1=penalties.p1,
-            p2_min=penalties.p2_min,
-            gamma=penalties.gamma,
-            alpha_q16=round(penalties.alpha * _ALPHA_ONE / 2 ** (bits - 8)),
+            across=_law(penalties.across, bits),
+            upright=_law(penalties.upright, bits),
             uniqueness_percent=config.uniqueness_percent,
-            subpixel=config.subpixel,
+            subpixel=_SUBPIXEL[config.subpixel],
             median=config.median,
             tolerance=-1.0 if tolerance is None else tolerance,
+            speckle_px=config.speckle_px,
+            speckle_rows=config.speckle_rows,
+            speckle_step_px=config.speckle_step_px,
             outside_cost=config.outside_cost,
             cost_weight=config.cost_weight,
             threads=config.threads,

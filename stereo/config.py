@@ -8,36 +8,66 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Preprocessing = Literal["none", "clahe", "rank7x7", "partial_ranks", "census_bytes"]
 
-Census = Literal["centre5x5", "symmetric7x7"]
+Census = Literal["tall", "centre5x5", "symmetric7x7"]
 
-LARGEST_PENALTY = 85  # three path sums above the matching cost must fit one byte
+LARGEST_PENALTY = 150  # a path cost must fit one byte
+LARGEST_SUM = 255  # what the vertical and two diagonal paths add must fit one byte, too
+
+
+class StepPenalty(BaseModel):
+    """P2, for a change of disparity by more than one pixel between neighbours on a path.
+
+    It falls with the step of intensity between the two pixels, since depth edges mostly show in
+    the image: P2 = gamma - alpha * |step|, kept within p2_min and p2_max. With gamma above p2_max
+    the first (gamma - p2_max) / alpha grey values count as noise.
+
+    Attributes:
+        alpha: per grey value of an 8-bit image; for b bits it is divided by 2^(b - 8).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    p2_min: int = Field(ge=0, le=LARGEST_PENALTY)
+    p2_max: int = Field(ge=0, le=LARGEST_PENALTY)
+    gamma: int = Field(ge=0, le=1000)
+    alpha: float = Field(ge=0.0, le=64.0)
+
+    @model_validator(mode="after")
+    def _in_order(self) -> StepPenalty:
+        if not self.p2_min <= self.p2_max <= self.gamma:
+            raise ValueError(
+                f"p2_min <= p2_max <= gamma, not {self.p2_min}, {self.p2_max}, {self.gamma}"
+            )
+        return self
 
 
 class Penalties(BaseModel):
     """Smoothness of census SGM, in units of the Hamming cost (0 to 24).
 
-    P1 punishes a change of disparity by one pixel between neighbours, P2 a larger change. P2 falls
-    with the step of intensity between the two pixels, since depth edges mostly show in the image:
-    P2 = max(p2_min, gamma - alpha * |step|).
-
-    Attributes:
-        alpha: per grey value of an 8-bit image; for b bits it is divided by 2^(b - 8).
+    P1 punishes a change of disparity by one pixel between neighbours. P2 (see `StepPenalty`) has
+    a law of its own for vertical steps: along a pole or a trunk nothing changes, so what the rows
+    above and below found may weigh more there (a path can add P2 at most) than what crosses it.
 
     Source: Spangenberg et al., IV 2014; Spangenberg et al. 2016, section III (7, 17, 50 and 0.25
-    a grey value of 12 bit, which is 4 a grey value of 8 bit).
+    a grey value of 12 bit, which is 4 a grey value of 8 bit, in all directions).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    p1: int = Field(default=5, ge=0, le=LARGEST_PENALTY)
-    p2_min: int = Field(default=8, ge=0, le=LARGEST_PENALTY)
-    gamma: int = Field(default=60, ge=0, le=LARGEST_PENALTY)
-    alpha: float = Field(default=3.0, ge=0.0, le=64.0)
+    p1: int = Field(default=5, ge=0, le=60)
+    across: StepPenalty = StepPenalty(p2_min=5, p2_max=60, gamma=180, alpha=20.0)
+    upright: StepPenalty = StepPenalty(p2_min=20, p2_max=120, gamma=150, alpha=2.0)
 
     @model_validator(mode="after")
     def _in_order(self) -> Penalties:
-        if not self.p1 <= self.p2_min <= self.gamma:
-            raise ValueError(f"p1 <= p2_min <= gamma, not {self.p1}, {self.p2_min}, {self.gamma}")
+        for name, law in (("across", self.across), ("upright", self.upright)):
+            if self.p1 > law.p2_min:
+                raise ValueError(f"p1 <= p2_min, not {self.p1} and {law.p2_min} ({name})")
+        most = self.upright.p2_max + 2 * self.across.p2_max
+        if most > LARGEST_SUM:
+            raise ValueError(
+                f"upright.p2_max + 2 across.p2_max is {most}, above {LARGEST_SUM}: lower one"
+            )
         return self
 
 
@@ -68,15 +98,21 @@ class StereoConfig(BaseModel):
         paths: directions along which costs are summed.
         right_map: `shared` reads the right view from the sums of the left; `own` sums again with
             the right view's edges, which costs twice the time and keeps more thin poles.
-        census: `centre5x5` compares 24 neighbours with the centre; `symmetric7x7` the 24 pairs of
-            opposite pixels of a 7x7 window.
-        smoothing: rounds of 1-2-1 smoothing of the image that the census sees; the census of a
-            noisy pixel is noise.
+        census: `tall` compares 24 pairs in a window 9 to 11 rows high and 3 to 5 columns wide,
+            as poles are; `centre5x5` 24 neighbours with the centre; `symmetric7x7` the 24 pairs
+            of opposite pixels of a 7x7 window.
+        smoothing: 1-2-1 sums of the image before all else, since the census of a noisy pixel is
+            noise: `upright` over three rows, which leaves the width of a pole alone, or `square`.
         uint16_bits: how many bits of a 16-bit image the camera fills.
         uniqueness_percent: the best sum of costs must be this much below every other one that is
             not its direct neighbour.
         left_right_tolerance_px: how far the two maps may disagree; None leaves out the check.
+        subpixel: where between whole pixels: `equiangular` fits the V that the sums are,
+            `parabola` stays too near to the whole pixel.
         median: a 3x3 median of the winners before the checks.
+        speckle_px: connected components of fewer pixels are removed, 0 for none ...
+        speckle_rows: ... unless they are at least this tall, as what is left of a thin pole is.
+        speckle_step_px: neighbours are connected if their disparities differ by no more.
         outside_cost: matching cost where the partner would lie outside the other image.
         cost_weight: how often the matching cost counts in the sum over paths, beside what each
             path adds to it. In plain semi-global matching it counts once a path (8), so that one
@@ -91,15 +127,18 @@ class StereoConfig(BaseModel):
     min_disparity_px: int = Field(default=0, ge=0, le=512)
     disparities: int = Field(default=128, ge=16, le=256, multiple_of=16)
     uniqueness_percent: int = Field(default=0, ge=0, le=50)
-    left_right_tolerance_px: float | None = Field(default=1.5, ge=0.0, le=16.0)
+    left_right_tolerance_px: float | None = Field(default=2.5, ge=0.0, le=16.0)
     paths: Literal[4, 8] = 8
     right_map: Literal["shared", "own"] = "own"
     penalties: Penalties = Penalties()
-    census: Census = "centre5x5"
-    smoothing: int = Field(default=1, ge=0, le=2)
+    census: Census = "tall"
+    smoothing: Literal["none", "upright", "square"] = "upright"
     uint16_bits: int = Field(default=12, ge=8, le=16)
-    subpixel: bool = True
-    median: bool = False
+    subpixel: Literal["none", "parabola", "equiangular"] = "equiangular"
+    median: bool = True
+    speckle_px: int = Field(default=400, ge=0, le=100_000)
+    speckle_rows: int = Field(default=16, ge=1, le=100_000)
+    speckle_step_px: float = Field(default=1.0, ge=0.0, le=16.0)
     outside_cost: int = Field(default=12, ge=0, le=24)
     cost_weight: int = Field(default=1, ge=1, le=16)
     threads: int = Field(default=2, ge=1, le=64)

@@ -9,6 +9,7 @@
 // with the intensity step).
 
 #include "census_kernel.hpp"
+#include "disparity_checks.hpp"
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -67,6 +68,7 @@ struct Loops {
   decltype(&baseline::first_pass) first_pass;
   decltype(&baseline::second_pass) second_pass;
   decltype(&baseline::check_rows) check_rows;
+  decltype(&baseline::median_rows) median_rows;
 };
 
 std::vector<Loops> supported_loops() {
@@ -77,14 +79,14 @@ std::vector<Loops> supported_loops() {
       __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bitalg") &&
       __builtin_cpu_supports("avx512vpopcntdq") && __builtin_cpu_supports("avx512vbmi"))
     found.push_back({"avx512", avx512::smooth, avx512::census_transform, avx512::first_pass,
-                     avx512::second_pass, avx512::check_rows});
+                     avx512::second_pass, avx512::check_rows, avx512::median_rows});
   if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"))
     found.push_back({"avx2", avx2::smooth, avx2::census_transform, avx2::first_pass,
-                     avx2::second_pass, avx2::check_rows});
+                     avx2::second_pass, avx2::check_rows, avx2::median_rows});
 #endif
   found.push_back(
       {"baseline", baseline::smooth, baseline::census_transform, baseline::first_pass,
-                     baseline::second_pass, baseline::check_rows});
+                     baseline::second_pass, baseline::check_rows, baseline::median_rows});
   return found;
 }
 
@@ -125,8 +127,7 @@ class Aggregation {
     const std::size_t rows = p.height;
     for (View* view : {&left_, &right_}) {
       view->pixels.resize(rows * p.pixel_stride());
-      for (int k = 0; k < p.smoothing; ++k) view->smooth[k].resize(rows * p.pixel_stride());
-      view->scratch.resize(p.pixel_stride());
+      view->scratch.resize(2 * p.pixel_stride());
       view->planes.resize(3 * rows * p.plane_stride() + kLanes);
     }
     volume_.bytes.resize(rows * p.volume_stride());
@@ -205,52 +206,33 @@ class Aggregation {
   Scratch halves_[2];
 };
 
-// 3x3 median of the rows [first, last) of a map; a pixel keeps its value where the window is not
-// complete.
-void median_rows(const float* source, float* target, int width, int height, int first, int last) {
-  const auto order = [](float& a, float& b) {
-    const float low = b < a ? b : a;
-    b = b < a ? a : b;
-    a = low;
-  };
-  for (int y = first; y < last; ++y) {
-    const float* row = source + static_cast<std::size_t>(y) * width;
-    float* out = target + static_cast<std::size_t>(y) * width;
-    std::copy(row, row + width, out);
-    if (y == 0 || y == height - 1) continue;
-    for (int x = 1; x + 1 < width; ++x) {
-      float w[9];
-      bool known = true;
-      for (int k = 0; k < 9; ++k) {
-        w[k] = row[(k / 3 - 1) * width + x + k % 3 - 1];
-        known &= w[k] == w[k];
-      }
-      order(w[1], w[2]), order(w[4], w[5]), order(w[7], w[8]);
-      order(w[0], w[1]), order(w[3], w[4]), order(w[6], w[7]);
-      order(w[1], w[2]), order(w[4], w[5]), order(w[7], w[8]);
-      order(w[0], w[3]), order(w[5], w[8]), order(w[4], w[7]);
-      order(w[3], w[6]), order(w[1], w[4]), order(w[2], w[5]);
-      order(w[4], w[7]), order(w[4], w[2]), order(w[6], w[4]), order(w[4], w[2]);
-      out[x] = known ? w[4] : row[x];
-    }
-  }
-}
-
 class CensusMatcher {
  public:
-  CensusMatcher(const std::vector<std::array<int, 4>>& pairs, int bits, int smoothing, int disparities, int offset, int paths, bool own_right, int p1, int p2_min,
-                int gamma, unsigned alpha_q16, int uniqueness_percent, bool subpixel, bool median,
-                float tolerance, int outside_cost, int cost_weight, int threads, const std::string& instruction_set)
+  CensusMatcher(const std::vector<std::array<int, 4>>& pairs, int bits, int smoothing,
+                int disparities, int offset, int paths, bool own_right, int p1,
+                const std::array<unsigned, 4>& across, const std::array<unsigned, 4>& upright,
+                int uniqueness_percent, int subpixel, bool median, float tolerance, int speckle_px,
+                int speckle_rows, float speckle_step_px, int outside_cost, int cost_weight,
+                int threads, const std::string& instruction_set)
       : own_right_(own_right),
         median_(median),
         tolerance_(tolerance),
+        speckle_px_(speckle_px),
+        speckle_rows_(speckle_rows),
+        speckle_step_px_(speckle_step_px),
         threads_(threads),
         loops_(choose_loops(instruction_set)) {
-    const bool valid = disparities >= 1 && disparities <= 256 && offset >= 0 && offset <= 4096 &&
-                       (paths == 4 || paths == 8) && p1 >= 0 && p1 <= p2_min && p2_min <= gamma &&
-                       gamma <= 85 && uniqueness_percent >= 0 && uniqueness_percent < 100 &&
-                       alpha_q16 <= (1u << 24) && outside_cost >= 0 && outside_cost <= 24 &&
-                       threads >= 1 && cost_weight >= 1 && cost_weight <= 16 && bits >= 1 && bits <= 16 && smoothing >= 0 && smoothing <= 2;
+    const auto lawful = [p1](const std::array<unsigned, 4>& law, unsigned most) {
+      return p1 >= 0 && p1 <= 60 && static_cast<unsigned>(p1) <= law[0] && law[0] <= law[1] &&
+             law[1] <= law[2] && law[1] <= most && law[2] <= 1000 && law[3] <= (1u << 24);
+    };
+    const bool valid =
+        disparities >= 1 && disparities <= 256 && offset >= 0 && offset <= 4096 &&
+        (paths == 4 || paths == 8) && lawful(across, 127) && lawful(upright, 150) &&
+        upright[1] + 2 * across[1] <= 255 && uniqueness_percent >= 0 && uniqueness_percent < 100 &&
+        subpixel >= 0 && subpixel <= 2 && speckle_px >= 0 && speckle_rows >= 1 &&
+        outside_cost >= 0 && outside_cost <= 24 && cost_weight >= 1 && cost_weight <= 16 &&
+        bits >= 1 && bits <= 16 && smoothing >= 0 && smoothing <= 2 && threads >= 1;
     if (!valid) throw std::invalid_argument("a setting of the census matcher is out of its range");
     if (pairs.size() != 24) throw std::invalid_argument("a census has 24 pairs of pixels");
     for (std::size_t k = 0; k < 24; ++k) {
@@ -265,16 +247,16 @@ class CensusMatcher {
     problem_.uniqueness_percent = uniqueness_percent;
     problem_.p1 = static_cast<u8>(p1);
     problem_.outside_cost = static_cast<u8>(outside_cost);
-    problem_.subpixel = subpixel;
-    problem_.p2_min = static_cast<u32>(p2_min);
-    problem_.gamma = static_cast<u32>(gamma);
-    problem_.alpha_q16 = alpha_q16;
+    problem_.subpixel = static_cast<Subpixel>(subpixel);
+    problem_.across = {across[0], across[1], across[2], across[3]};
+    problem_.upright = {upright[0], upright[1], upright[2], upright[3]};
     problem_.cost_weight = static_cast<i16>(cost_weight);
-    problem_.smoothing = smoothing;
-    for (int round = 0; round < 2; ++round) {  // each round multiplies by 16
-      problem_.smoothing_shift[round] = std::max(0, bits + 4 - 16);
-      bits = std::min(bits + 4, 16);
-    }
+    problem_.smoothing = static_cast<Smoothing>(smoothing);
+    // a sum is 4 times the grey value, or 16 times; P2 is meant for grey values
+    const int gained = std::min(2 * smoothing, 16 - bits);
+    problem_.smoothing_shift = 2 * smoothing - gained;
+    problem_.across.alpha_q16 >>= gained;
+    problem_.upright.alpha_q16 >>= gained;
   }
 
   std::string instruction_set() const { return loops_.name; }
@@ -340,13 +322,14 @@ class CensusMatcher {
         median_buffer_[view].resize(size);
         float* source = median_buffer_[view].get();
         std::copy(raw[view], raw[view] + size, source);
-        median_rows(source, raw[view], width, height, 0, height);
+        loops_.median_rows(source, raw[view], width, height);
       };
       run_together({[&] { smooth(0); }, [&] { smooth(1); }}, threads_ > 1);
     }
     const auto check = [&](int view) {
       loops_.check_rows(raw[view], raw[1 - view], unique[view], out[view], view == 0 ? -1 : 1,
                         tolerance_, width, height);
+      speckles_[view].run(out[view], width, height, speckle_px_, speckle_rows_, speckle_step_px_);
     };
     run_together({[&] { check(0); }, [&] { check(1); }}, threads_ > 1);
   }
@@ -354,6 +337,9 @@ class CensusMatcher {
   Problem problem_{};
   bool own_right_, median_;
   float tolerance_;
+  int speckle_px_, speckle_rows_;
+  float speckle_step_px_;
+  SpeckleFilter speckles_[2];
   int threads_;
   Loops loops_;
   std::mutex busy_;
@@ -373,14 +359,17 @@ PYBIND11_MODULE(census_kernel, module) {
     for (const auto& loops : census::supported_loops()) names.emplace_back(loops.name);
     return py::cast(names);
   });
+  using Law = std::array<unsigned, 4>;
   py::class_<CensusMatcher>(module, "CensusMatcher")
-      .def(py::init<const std::vector<std::array<int, 4>>&, int, int, int, int, int, bool, int, int, int, unsigned, int, bool, bool, float, int, int, int,
+      .def(py::init<const std::vector<std::array<int, 4>>&, int, int, int, int, int, bool, int,
+                    const Law&, const Law&, int, int, bool, float, int, int, float, int, int, int,
                     const std::string&>(),
-           py::kw_only(), py::arg("pairs"), py::arg("bits"), py::arg("smoothing"), py::arg("disparities"), py::arg("offset"), py::arg("paths"),
-           py::arg("own_right"), py::arg("p1"), py::arg("p2_min"), py::arg("gamma"),
-           py::arg("alpha_q16"), py::arg("uniqueness_percent"), py::arg("subpixel"),
-           py::arg("median"), py::arg("tolerance"), py::arg("outside_cost"), py::arg("cost_weight"), py::arg("threads"),
-           py::arg("instruction_set"))
+           py::kw_only(), py::arg("pairs"), py::arg("bits"), py::arg("smoothing"),
+           py::arg("disparities"), py::arg("offset"), py::arg("paths"), py::arg("own_right"),
+           py::arg("p1"), py::arg("across"), py::arg("upright"), py::arg("uniqueness_percent"),
+           py::arg("subpixel"), py::arg("median"), py::arg("tolerance"), py::arg("speckle_px"),
+           py::arg("speckle_rows"), py::arg("speckle_step_px"), py::arg("outside_cost"),
+           py::arg("cost_weight"), py::arg("threads"), py::arg("instruction_set"))
       .def_property_readonly("instruction_set", &CensusMatcher::instruction_set)
       .def("match", &CensusMatcher::match<std::uint8_t>, py::arg("left").noconvert(),
            py::arg("right").noconvert())

@@ -69,6 +69,17 @@ struct Pair {
   int dv_one, du_one, dv_other, du_other;
 };
 
+// 1 2 1 sums of the image before anything else: none, over rows (up and down), or over both.
+enum class Smoothing { none, upright, square };
+
+// Where between two disparities the least sum lies.
+enum class Subpixel { none, parabola, equiangular };
+
+// P2 of a step between two pixels: gamma - alpha * |step of intensity|, at least p2_min.
+struct Penalty {
+  u32 p2_min, p2_max, gamma, alpha_q16;
+};
+
 // Sizes, penalties and where things lie in memory. Rows of pixels are padded to whole blocks of
 // kLanes, with guards on both sides that the diagonal paths and the shifted right view may read.
 struct Problem {
@@ -78,11 +89,11 @@ struct Problem {
   int uniqueness_percent;
   i16 cost_weight;          // how often the matching cost itself counts beside the excesses
   u8 p1, outside_cost;
-  bool subpixel;
+  Subpixel subpixel;
   Pair pairs[24];
-  int smoothing;           // rounds of 1 2 1 smoothing before the census
-  int smoothing_shift[2];  // bits dropped in each
-  u32 p2_min, gamma, alpha_q16;
+  Smoothing smoothing;
+  int smoothing_shift;      // bits dropped after it, so that 16 hold the sum
+  Penalty across, upright;  // of horizontal and diagonal steps, and of vertical ones
 
   int paths() const { return 2 * vertical_paths + 2; }
   int columns() const { return round_up(width, kLanes); }
@@ -99,8 +110,8 @@ struct Problem {
 // One image: intensities (rows of pixel_stride, first pixel at kLanes) and the three census bytes
 // (planes of rows of plane_stride, first pixel at guard).
 struct View {
-  Buffer<u16> pixels;
-  Buffer<u16> smooth[2], scratch;
+  Buffer<u16> pixels;  // smoothed in place of the image that came in
+  Buffer<u16> scratch;
   Buffer<u8> planes;
 };
 

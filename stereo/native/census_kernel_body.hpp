@@ -77,33 +77,34 @@ KERNEL_INLINE void blend_columns(const u16* __restrict row, int shift, int count
 
 KERNEL_INLINE int clamp_row(int y, int height) { return y < 0 ? 0 : (y < height ? y : height - 1); }
 
-// The image that the census sees: the pixels, smoothed by 1 2 1 in both directions p.smoothing
-// times. Sums keep their fraction as long as 16 bits allow.
+// Smooths the image in place. Sums keep their fraction as long as 16 bits allow.
 KERNEL_FN void smooth(const Problem& p, View& view) {
+  if (p.smoothing == Smoothing::none) return;
   const int stride = p.pixel_stride();
-  u16* columns = view.scratch.get();
-  for (int round = 0; round < p.smoothing; ++round) {
-    const u16* source = (round == 0 ? view.pixels : view.smooth[1 - round % 2]).get();
-    u16* target = view.smooth[round % 2].get();
-    const int shift = p.smoothing_shift[round];
-    for (int y = 0; y < p.height; ++y) {
-      const u16* rows[3];
-      for (int k = 0; k < 3; ++k)
-        rows[k] = source + static_cast<std::size_t>(clamp_row(y + k - 1, p.height)) * stride;
-      blend_rows(rows[0], rows[1], rows[2], shift / 2, stride, columns);
-      u16* out = target + static_cast<std::size_t>(y) * stride;
-      blend_columns(columns + 1, shift - shift / 2, stride - 2, out + 1);
-      for (int x = 0; x < kLanes; ++x) out[x] = out[kLanes];
-      for (int x = kLanes + p.width; x < stride; ++x) out[x] = out[kLanes + p.width - 1];
+  const bool square = p.smoothing == Smoothing::square;
+  const int shift = square ? p.smoothing_shift / 2 : p.smoothing_shift;
+  u16* image = view.pixels.get();
+  u16* columns = view.scratch.get();       // the row that is being made
+  u16* above = columns + stride;           // the row above as it was
+  __builtin_memcpy(above, image, static_cast<std::size_t>(stride) * sizeof(u16));
+  for (int y = 0; y < p.height; ++y) {
+    u16* here = image + static_cast<std::size_t>(y) * stride;
+    blend_rows(above, here, here + (y + 1 < p.height ? stride : 0), shift, stride, columns);
+    __builtin_memcpy(above, here, static_cast<std::size_t>(stride) * sizeof(u16));
+    if (!square) {
+      __builtin_memcpy(here, columns, static_cast<std::size_t>(stride) * sizeof(u16));
+      continue;
     }
+    blend_columns(columns + 1, p.smoothing_shift - shift, stride - 2, here + 1);
+    for (int x = 0; x < kLanes; ++x) here[x] = here[kLanes];
+    for (int x = kLanes + p.width; x < stride; ++x) here[x] = here[kLanes + p.width - 1];
   }
 }
 
 // The census of a view; bit k is set where the first pixel of pair k is darker than the second.
 KERNEL_FN void census_transform(const Problem& p, View& view) {
   const std::size_t plane = static_cast<std::size_t>(p.height) * p.plane_stride();
-  const u16* image =
-      (p.smoothing == 0 ? view.pixels : view.smooth[(p.smoothing - 1) % 2]).get() + kLanes;
+  const u16* image = view.pixels.get() + kLanes;
   u16* bits = view.scratch.get();
   const std::ptrdiff_t stride = p.pixel_stride();
   for (int y = 0; y < p.height; ++y) {
@@ -122,15 +123,16 @@ KERNEL_FN void census_transform(const Problem& p, View& view) {
 }
 
 // P2 for the step from pixel `b` to pixel `a`: it falls with the difference of intensity.
-KERNEL_INLINE u8 penalty(const Problem& p, u16 a, u16 b, u32 cap) {
+KERNEL_INLINE u8 penalty(const Penalty& p, u16 a, u16 b, u32 cap) {
   u32 step = a > b ? static_cast<u32>(a - b) : static_cast<u32>(b - a);
   step = step < cap ? step : cap;
   const u32 fall = (step * p.alpha_q16) >> 16;
   const u32 room = p.gamma - p.p2_min;
-  return static_cast<u8>(p.gamma - (fall < room ? fall : room));
+  const u32 left = p.gamma - (fall < room ? fall : room);
+  return static_cast<u8>(left < p.p2_max ? left : p.p2_max);
 }
 
-KERNEL_INLINE u32 step_cap(const Problem& p) {
+KERNEL_INLINE u32 step_cap(const Penalty& p) {
   const u32 cap = p.alpha_q16 == 0 ? 0xFFFFu : 0xFFFFFFFFu / p.alpha_q16;
   return cap < 0xFFFFu ? cap : 0xFFFFu;
 }
@@ -176,15 +178,16 @@ KERNEL_FN void path_penalties(const Problem& p, const View& view, int y, int fro
   const int stride = p.pixel_stride();
   const u16* here = view.pixels.get() + static_cast<std::size_t>(y) * stride + kLanes;
   const u16* there = view.pixels.get() + static_cast<std::size_t>(from) * stride + kLanes;
-  const u32 cap = step_cap(p);
   for (int k = 0; k < p.vertical_paths; ++k) {
     const int dx = p.vertical_paths == 3 ? k - 1 : 0;
+    const Penalty rule = dx == 0 ? p.upright : p.across;
+    const u32 cap = step_cap(rule);
     const u16* __restrict other = there + dx;
     const u8* __restrict minimum = s.minima.get() + (phase * 3 + k) * stride + kLanes + dx;
     u8* __restrict limit = s.penalties.get() + k * stride + kLanes;
     for (int x = 0; x < p.columns(); x += kLanes)
       for (int i = x; i < x + kLanes; ++i)
-        limit[i] = minimum[i] + penalty(p, here[i], other[i], cap);
+        limit[i] = minimum[i] + penalty(rule, here[i], other[i], cap);
   }
 }
 
@@ -349,12 +352,12 @@ KERNEL_FN void horizontal_strip(const Problem& p, const View& left, const View& 
     r[j] = target + turned;
   }
   // P2 between columns x - 1 and x serves both directions
-  const u32 cap = step_cap(p);
+  const u32 cap = step_cap(p.across);
   u8* by_rows = s.strip_block.get();
   for (int row = 0; row < rows; ++row) {
     const u16* here = left.pixels.get() + static_cast<std::size_t>(y0 + row) * stride + kLanes;
     u8* __restrict target = by_rows + static_cast<std::size_t>(row) * columns;
-    for (int x = 0; x < columns; ++x) target[x] = penalty(p, here[x], here[x - 1], cap);
+    for (int x = 0; x < columns; ++x) target[x] = penalty(p.across, here[x], here[x - 1], cap);
   }
   u8* p2 = s.strip_penalty.get();
   transpose_rows(by_rows, columns, rows, columns, p2);
@@ -467,6 +470,20 @@ KERNEL_FN void find_winners(const Problem& p, const i16* sums, bool right, i16* 
   }
 }
 
+// Offset of the least sum, -0.5 to 0.5, from how far the sums of the neighbours lie above it. Sums
+// of SGM are V-shaped, P1 lifts both sides: a parabola through them stays too near to the whole
+// pixel. The equiangular V is right for a V, and u (1.35 - 0.35 u) is what is left to be done at
+// smooth surfaces (measured, docs/stereo.md). Integers up to the one division: no build may
+// contract or reorder it.
+KERNEL_INLINE float fraction_of(Subpixel kind, int below, int above) {
+  if (kind == Subpixel::parabola)
+    return static_cast<float>(below - above) / static_cast<float>(2 * (below + above));
+  const int higher = below > above ? below : above;
+  const int step = below - above, size = step < 0 ? -step : step;
+  return static_cast<float>(step * (27 * higher - 7 * size)) /
+         static_cast<float>(40 * higher * higher);
+}
+
 KERNEL_FN void write_winners(const Problem& p, const i16* sums, bool right, const i16* best,
                              const i16* index, const i16* second, float* disparity, u8* margin,
                              u8* unique) {
@@ -481,13 +498,12 @@ KERNEL_FN void write_winners(const Problem& p, const i16* sums, bool right, cons
     }
     const int d = index[x];
     float fraction = 0.0f;
-    if (p.subpixel && d > 0 && d + 1 < p.disparities) {
+    if (p.subpixel != Subpixel::none && d > 0 && d + 1 < p.disparities) {
       const int step = right ? stride + 1 : stride;
       const i16* here = sums + static_cast<std::size_t>(d) * stride + x + (right ? d + p.offset : 0);
       const int below = here[-step], above = here[step];
-      const int bend = below + above - 2 * static_cast<int>(b);
-      if (below != kNoSum && above != kNoSum && bend > 0)
-        fraction = static_cast<float>(below - above) / static_cast<float>(2 * bend);
+      if (below != kNoSum && above != kNoSum && below + above > 2 * static_cast<int>(b))
+        fraction = fraction_of(p.subpixel, below - static_cast<int>(b), above - static_cast<int>(b));
     }
     disparity[x] = static_cast<float>(d + p.offset) + fraction;
     unique[x] = rival * keep >= b * 100u;
@@ -565,6 +581,43 @@ KERNEL_FN void check_rows(const float* own, const float* other, const u8* unique
     }
     for (int x = 0; x < width; ++x)
       out[row + x] = unique[row + x] != 0 ? own[row + x] : __builtin_nanf("");
+  }
+}
+
+KERNEL_INLINE void in_order(float& a, float& b) {
+  const float low = b < a ? b : a;
+  b = b < a ? a : b;
+  a = low;
+}
+
+KERNEL_FN void median_row(const float* __restrict above, const float* __restrict here,
+                          const float* __restrict below, int width, float* __restrict out) {
+  for (int x = 1; x < width - 1; ++x) {
+    float a = above[x - 1], b = above[x], c = above[x + 1], d = here[x - 1], e = here[x],
+          f = here[x + 1], g = below[x - 1], h = below[x], i = below[x + 1];
+    const float all = ((a + b) + (c + d)) + ((f + g) + (h + i)) + e;  // NaN where one is
+    in_order(b, c), in_order(e, f), in_order(h, i);
+    in_order(a, b), in_order(d, e), in_order(g, h);
+    in_order(b, c), in_order(e, f), in_order(h, i);
+    in_order(a, d), in_order(f, i), in_order(e, h);
+    in_order(d, g), in_order(b, e), in_order(c, f);
+    in_order(e, h), in_order(e, c), in_order(g, e), in_order(e, c);
+    out[x] = all == all ? e : here[x];
+  }
+}
+
+// 3x3 median of a map; a pixel keeps its value where the window is not complete.
+KERNEL_FN void median_rows(const float* source, float* target, int width, int height) {
+  for (int y = 0; y < height; ++y) {
+    const float* here = source + static_cast<std::size_t>(y) * width;
+    float* out = target + static_cast<std::size_t>(y) * width;
+    if (y == 0 || y == height - 1 || width < 3) {
+      __builtin_memcpy(out, here, static_cast<std::size_t>(width) * sizeof(float));
+      continue;
+    }
+    out[0] = here[0];
+    out[width - 1] = here[width - 1];
+    median_row(here - width, here, here + width, width, out);
   }
 }
 

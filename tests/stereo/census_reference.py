@@ -16,40 +16,48 @@ EIGHT = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]
 class Settings:
     census: str = "centre5x5"
     bits: int = 8
-    smoothing: int = 1
+    smoothing: int = 1  # 0 none, 1 upright, 2 square
     disparities: int = 16
     offset: int = 0
     paths: int = 8
     own_right: bool = False
     p1: int = 7
-    p2_min: int = 17
-    gamma: int = 50
-    alpha_q16: int = 1 << 17
+    across: tuple = (17, 50, 60, 1 << 17)  # p2_min, p2_max, gamma, alpha in 2^-16
+    upright: tuple = (20, 90, 100, 1 << 16)
     uniqueness_percent: int = 5
-    subpixel: bool = True
+    subpixel: int = 2  # 0 none, 1 parabola, 2 equiangular
     median: bool = False
     tolerance: float = 1.0
+    speckle_px: int = 0
+    speckle_rows: int = 8
+    speckle_step_px: float = 1.0
     outside_cost: int = 12
     cost_weight: int = 8
 
 
+def gained_bits(s):
+    """By how many bits the smoothed grey values are larger than those of the image."""
+    return min(2 * s.smoothing, 16 - s.bits)
+
+
 def smooth(image, s):
-    """1-2-1 along columns and rows, `s.smoothing` times, keeping as many bits as 16 allow."""
-    bits, out = s.bits, image.astype(np.int64)
-    for _ in range(s.smoothing):
-        shift = max(bits + 4 - 16, 0)
+    """1-2-1 along columns, and along rows if square, keeping as many bits as 16 allow."""
+    shift = 2 * s.smoothing - gained_bits(s)
+    out = image.astype(np.int64)
+    if s.smoothing >= 1:
+        first = shift if s.smoothing == 1 else shift // 2
         padded = np.pad(out, ((1, 1), (0, 0)), mode="edge")
-        out = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) >> (shift // 2)
+        out = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) >> first
+    if s.smoothing == 2:
         padded = np.pad(out, ((0, 0), (1, 1)), mode="edge")
         out = (padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]) >> (shift - shift // 2)
-        bits = min(bits + 4, 16)
     return out.astype(np.uint16)
 
 
 def cost_volume(left, right, s):
     """`(height, width, disparities)` Hamming distances; `outside_cost` without a partner."""
-    bits_left = np.unpackbits(census_planes(smooth(left, s), s.census), axis=0)
-    bits_right = np.unpackbits(census_planes(smooth(right, s), s.census), axis=0)
+    bits_left = np.unpackbits(census_planes(left, s.census), axis=0)
+    bits_right = np.unpackbits(census_planes(right, s.census), axis=0)
     height, width = left.shape
     cost = np.full((height, width, s.disparities), s.outside_cost, dtype=np.int64)
     for d in range(s.disparities):
@@ -65,6 +73,8 @@ def aggregate(cost, image, s):
     height, width, _ = cost.shape
     total = s.cost_weight * cost
     for dv, du in EIGHT[: s.paths]:
+        p2_min, p2_max, gamma, alpha_q16 = s.upright if du == 0 else s.across
+        alpha_q16 >>= gained_bits(s)
         path = np.zeros_like(cost)
         for y in range(height)[:: -1 if dv < 0 else 1]:
             for x in range(width)[:: -1 if du < 0 else 1]:
@@ -74,7 +84,7 @@ def aggregate(cost, image, s):
                     continue
                 old = path[v, u]
                 step = abs(int(image[y, x]) - int(image[v, u]))
-                p2 = max(s.gamma - ((step * s.alpha_q16) >> 16), s.p2_min)
+                p2 = min(max(gamma - ((step * alpha_q16) >> 16), p2_min), p2_max)
                 far = np.full(1, 10**6)
                 below = np.concatenate([far, old[:-1]]) + s.p1
                 above = np.concatenate([old[1:], far]) + s.p1
@@ -104,11 +114,13 @@ def winners(lists, s):
                 margin[y, x] = int(np.float32(255 * (second - best)) / np.float32(second))
             fraction = np.float32(0)
             if s.subpixel and 0 < d < len(sums) - 1:
-                bend = int(sums[d - 1]) + int(sums[d + 1]) - 2 * best
-                if bend > 0:
-                    fraction = np.float32(int(sums[d - 1]) - int(sums[d + 1])) / np.float32(
-                        2 * bend
-                    )
+                below, above = int(sums[d - 1]) - best, int(sums[d + 1]) - best
+                step, higher = below - above, max(below, above)
+                if s.subpixel == 1 and higher > 0:
+                    fraction = np.float32(step) / np.float32(2 * (below + above))
+                elif higher > 0:
+                    bent = step * (27 * higher - 7 * abs(step))
+                    fraction = np.float32(bent) / np.float32(40 * higher**2)
             disparity[y, x] = np.float32(d + s.offset) + fraction
     return disparity, margin, unique
 
@@ -161,8 +173,35 @@ def check(own, other, unique, sign, tolerance):
     return out
 
 
+def without_speckles(disparity, s):
+    """Flood fill from each pixel; small and low components become NaN."""
+    if s.speckle_px <= 1:
+        return disparity
+    out = disparity.copy()
+    height, width = out.shape
+    seen = ~np.isfinite(out)
+    for start in np.argwhere(~seen):
+        if seen[tuple(start)]:
+            continue
+        seen[tuple(start)] = True
+        component = [tuple(start)]
+        for y, x in component:  # grows while it is read
+            for v, u in ((y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)):
+                if not (0 <= v < height and 0 <= u < width) or seen[v, u]:
+                    continue
+                if abs(disparity[v, u] - disparity[y, x]) <= np.float32(s.speckle_step_px):
+                    seen[v, u] = True
+                    component.append((v, u))
+        rows = [y for y, _ in component]
+        if len(component) < s.speckle_px and max(rows) - min(rows) + 1 < s.speckle_rows:
+            for place in component:
+                out[place] = np.nan
+    return out
+
+
 def match(left, right, s: Settings):
     """`(left, right, left_unchecked, right_unchecked, left_margin, right_margin)`."""
+    left, right = smooth(left, s), smooth(right, s)
     total = aggregate(cost_volume(left, right, s), left, s)
     raw_left, margin_left, unique_left = winners(left_lists(total, s), s)
     if s.own_right:
@@ -175,8 +214,8 @@ def match(left, right, s: Settings):
     if s.median:
         raw_left, raw_right = median3(raw_left), median3(raw_right)
     return (
-        check(raw_left, raw_right, unique_left, -1, s.tolerance),
-        check(raw_right, raw_left, unique_right, +1, s.tolerance),
+        without_speckles(check(raw_left, raw_right, unique_left, -1, s.tolerance), s),
+        without_speckles(check(raw_right, raw_left, unique_right, +1, s.tolerance), s),
         raw_left,
         raw_right,
         margin_left,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import tests.stereo.census_reference as reference
 from stereo.census import census_pairs
-from stereo.config import Penalties, StereoConfig
+from stereo.config import Penalties, StepPenalty, StereoConfig
 from stereo.errors import StereoError
 from stereo.matching import make_matcher
 
@@ -36,9 +36,16 @@ def problems(draw):
     dtype = np.uint8 if bits == 8 else np.uint16
     shift = draw(st.integers(0, 20))
     p1 = draw(st.integers(0, 40))
-    p2_min = draw(st.integers(p1, 60))
+
+    def law(most):
+        p2_min = draw(st.integers(p1, 60))
+        p2_max = draw(st.integers(p2_min, most))
+        gamma = draw(st.integers(p2_max, p2_max + 60))
+        return p2_min, p2_max, gamma, draw(st.sampled_from([0, 700, 1 << 14, 1 << 17, 8 << 16]))
+
+    across = law(75)
     options = reference.Settings(
-        census=draw(st.sampled_from(["centre5x5", "symmetric7x7"])),
+        census=draw(st.sampled_from(["tall", "centre5x5", "symmetric7x7"])),
         bits=bits,
         smoothing=draw(st.integers(0, 2)),
         disparities=draw(st.sampled_from([1, 2, 16, 33, 64])),
@@ -46,13 +53,15 @@ def problems(draw):
         paths=draw(st.sampled_from([4, 8])),
         own_right=draw(st.booleans()),
         p1=p1,
-        p2_min=p2_min,
-        gamma=draw(st.integers(p2_min, 85)),
-        alpha_q16=draw(st.sampled_from([0, 700, 1 << 14, 1 << 17])),
+        across=across,
+        upright=law(min(150, 255 - 2 * across[1])),
         uniqueness_percent=draw(st.sampled_from([0, 5, 30])),
-        subpixel=draw(st.booleans()),
+        subpixel=draw(st.integers(0, 2)),
         median=draw(st.booleans()),
         tolerance=draw(st.sampled_from([-1.0, 0.0, 0.5, 1.0])),
+        speckle_px=draw(st.sampled_from([0, 2, 5, 40])),
+        speckle_rows=draw(st.sampled_from([1, 3, 100])),
+        speckle_step_px=draw(st.sampled_from([0.0, 1.0, 2.5])),
         outside_cost=draw(st.integers(0, 24)),
         cost_weight=draw(st.sampled_from([1, 3, 8, 16])),
     )
@@ -159,9 +168,14 @@ def test_what_the_matcher_refuses():
         with pytest.raises(StereoError, match="instruction_set"):
             make_matcher(StereoConfig(instruction_set="avx512"))
     with pytest.raises(ValueError, match="out of its range"):
-        run(bright, bright, reference.Settings(gamma=86))
+        run(bright, bright, reference.Settings(upright=(20, 200, 200, 0)))
     with pytest.raises(ValueError, match="p1 <= p2_min"):
-        Penalties(p1=30, p2_min=20)
+        Penalties(p1=30)
+    with pytest.raises(ValueError, match="p2_min <= p2_max"):
+        StepPenalty(p2_min=30, p2_max=20, gamma=40, alpha=1)
+    steep = StepPenalty(p2_min=10, p2_max=100, gamma=100, alpha=1)
+    with pytest.raises(ValueError, match="is 320, above 255"):
+        Penalties(upright=StepPenalty(p2_min=10, p2_max=120, gamma=120, alpha=1), across=steep)
 
 
 def test_one_matcher_serves_threads_and_sizes():
