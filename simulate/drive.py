@@ -24,7 +24,8 @@ from drivelog.writers.folder import FolderWriter, folder_writer, write_drive
 from simulate import sensors
 from simulate.camera import expose, exposure_of, make_units
 from simulate.config import SimulateConfig
-from simulate.driver import CAR, Motion, drive_route
+from simulate.driver import Motion, drive_route
+from simulate.dynamics import CAR
 from simulate.faults import apply_faults
 from simulate.render import Renderer, RenderOptions, View, camera_poses, rotation_from_angles
 from simulate.route import Route, make_route
@@ -123,10 +124,10 @@ class Studio:
             plan.motion.value("speed_mps", stamp)[0] * plan.motion.value("yaw_rate_radps", stamp)[0]
         )
         section = self.world.section
-        roll = (
-            np.arctan(section.slope_at(lateral)) + _ROLL_PER_MPS2 * swing + plan.body_rad[number, 0]
-        )
-        pitch = -_PITCH_PER_MPS2 * push + plan.body_rad[number, 1]
+        street = self.world.route.at(plan.motion.value("station_m", stamp))[0, 2]
+        slope, turned = np.arctan(section.slope_at(lateral)), yaw - street
+        roll = slope * np.cos(turned) + _ROLL_PER_MPS2 * swing + plan.body_rad[number, 0]
+        pitch = -slope * np.sin(turned) - _PITCH_PER_MPS2 * push + plan.body_rad[number, 1]
         place = np.array([x, y, float(section.height_at(lateral))])
         rig = self.renderer.rig
         poses = camera_poses(rig, place, rotation_from_angles(yaw, pitch, roll), self._tilt)

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from drivelog.errors import ConfigError
-from simulate.dynamics import Car, follow
+from simulate.dynamics import CAR, follow
 from simulate.route import Route
 from simulate.scenario import DriveSpec
+from simulate.way import GRID_M, Way, make_way
 
 Floats = NDArray[np.float64]
 STEP_S = 0.005
-CAR = Car()
-_GRID_M = 0.25
 # starts and stops are softened over this time, which the standstill pays for
 _SOFTEN_S = 0.25
 _SETTLE_S = 5 * _SOFTEN_S
@@ -32,8 +30,8 @@ class Motion:
         speed_mps, yaw_rate_radps, acceleration_mps2: along and about the rear axle.
         sideslip_rad, steering_rad: at the centre of gravity, and of the front wheels.
         lateral_m: position left of the route's centre line.
-        wander_m: what the driver strays from the lane's middle, left positive.
-        station_m: along the route, growing over the laps.
+        wander_m: what the driver strays from the way planned, positive to the street's left.
+        station_m: along the route, growing over the laps, falling on the way back of a U-turn.
         lap_starts_s: start of each lap, and the end of the last.
     """
 
@@ -62,28 +60,30 @@ def drive_route(route: Route, spec: DriveSpec, laps: int, rng: np.random.Generat
     """Drives `laps` laps of a closed route, or once along an open one.
 
     Raises:
-        ConfigError: several laps of an open route.
+        ConfigError: several laps of an open route, or a U-turn without room for it.
     """
-    if laps > 1 and not route.closed:
-        raise ConfigError(f"--laps {laps}: the route of this world is open, it has one lap only")
+    way = make_way(route, spec, laps)
     margin = 0.0 if route.closed else 2.0
-    total = route.length_m * laps - 2 * margin
-    station = np.arange(0.0, total + _GRID_M, _GRID_M)
-    wander = _wander(station, route.length_m, laps, spec, rng)
-    lateral = spec.lane_offset_m + wander
-    stops = [lap * route.length_m + stop for lap in range(laps) for stop in [0.0, *spec.stops_m]]
-    speed = _speed(route, station, margin, stops, spec, rng)
-    time, at = _schedule(station, speed, stops, spec)
+    driven = way.driven_m
+    wander = _wander(driven, way, laps, spec, rng)
+    stops = [
+        way.reached_m(lap * route.length_m + stop)
+        for lap in range(laps)
+        for stop in [0.0, *spec.stops_m]
+    ]
+    speed = _speed(route, way, margin, stops, spec, rng)
+    time, at = _schedule(driven, speed, stops, spec)
     stamps = np.arange(0.0, time[-1], STEP_S)
     travelled = gaussian_filter1d(np.interp(stamps, time, at), _SOFTEN_S / STEP_S, mode="nearest")
-    line = route.at(station + margin, lateral)[:, :2]
-    ride = follow(line, _GRID_M, travelled, STEP_S, CAR)
-    middle = route.at(travelled + margin)
+    line = route.at(way.station_m + margin, way.lateral_m + wander)[:, :2]
+    ride = follow(line, GRID_M, travelled, STEP_S, CAR)
+    station = np.interp(travelled, driven, way.station_m) + margin
+    middle = route.at(station)
     offset = ride.pose[:, :2] - middle[:, :2]
     beside = -np.sin(middle[:, 2]) * offset[:, 0] + np.cos(middle[:, 2]) * offset[:, 1]
-    starts = np.interp(np.arange(laps + 1) * route.length_m - 1e-6, at, time)
+    starts = np.interp(way.lap_starts_m - 1e-6, at, time)
     # the standstill belongs to the lap that it opens
-    first = [float(time[np.searchsorted(at, k * route.length_m - 1e-9)]) for k in range(laps)]
+    first = [float(time[np.searchsorted(at, start - 1e-9)]) for start in way.lap_starts_m[:-1]]
     return Motion(
         stamps,
         ride.pose,
@@ -93,29 +93,28 @@ def drive_route(route: Route, spec: DriveSpec, laps: int, rng: np.random.Generat
         ride.sideslip_rad,
         ride.steering_rad,
         beside,
-        beside - spec.lane_offset_m,
-        travelled + margin,
+        beside - np.interp(travelled, driven, way.lateral_m),
+        station,
         np.array([*first, min(float(starts[-1]), float(stamps[-1]))]),
     )
 
 
 def _wander(
-    station: Floats, lap_m: float, laps: int, spec: DriveSpec, rng: np.random.Generator
+    driven: Floats, way: Way, laps: int, spec: DriveSpec, rng: np.random.Generator
 ) -> Floats:
     """Smooth straying from the lane's middle, of another strength in every lap, plus evasions."""
-    noise = rng.standard_normal(len(station))
-    smooth = 0.8 * _unit(gaussian_filter1d(noise, 11.0 / _GRID_M, mode="nearest"))
+    noise = rng.standard_normal(len(driven))
+    smooth = 0.8 * _unit(gaussian_filter1d(noise, 11.0 / GRID_M, mode="nearest"))
     smooth += 0.6 * _unit(
-        gaussian_filter1d(rng.standard_normal(len(station)), 35.0 / _GRID_M, mode="nearest")
+        gaussian_filter1d(rng.standard_normal(len(driven)), 35.0 / GRID_M, mode="nearest")
     )
-    strength = rng.uniform(*spec.wander_sd_m, laps)[
-        np.minimum((station / lap_m).astype(np.int64), laps - 1)
-    ]
+    lap = np.searchsorted(way.lap_starts_m, driven, side="right") - 1
+    strength = rng.uniform(*spec.wander_sd_m, laps)[np.minimum(lap, laps - 1)]
     smooth = 2.5 * np.tanh(smooth / 2.5)
-    wander = smooth * gaussian_filter1d(strength, 8.0 / _GRID_M, mode="nearest")
+    wander = smooth * gaussian_filter1d(strength, 8.0 / GRID_M, mode="nearest")
     for _ in range(int(rng.poisson(spec.evasions * laps))):
-        middle, width = rng.uniform(25.0, max(26.0, station[-1] - 25.0)), rng.uniform(6.0, 9.0)
-        bulge = np.exp(-0.5 * ((station - middle) / width) ** 2)
+        middle, width = rng.uniform(25.0, max(26.0, driven[-1] - 25.0)), rng.uniform(6.0, 9.0)
+        bulge = np.exp(-0.5 * ((driven - middle) / width) ** 2)
         wander = wander + rng.uniform(1.0, 1.7) * bulge
     return np.asarray(wander)
 
@@ -126,22 +125,23 @@ def _unit(values: Floats) -> Floats:
 
 def _speed(
     route: Route,
-    station: Floats,
+    way: Way,
     margin: float,
     stops: list[float],
     spec: DriveSpec,
     rng: np.random.Generator,
 ) -> Floats:
     """Speed over the way: limit, bends, stops, and what the car can gain or shed."""
-    bend = np.abs(route.curvature_at(station + margin))
-    mood = 1 + 0.08 * _unit(gaussian_filter1d(rng.standard_normal(len(station)), 60.0 / _GRID_M))
+    station = way.driven_m
+    bend = np.abs(route.curvature_at(way.station_m + margin)) + way.bend_1pm
+    mood = 1 + 0.08 * _unit(gaussian_filter1d(rng.standard_normal(len(station)), 60.0 / GRID_M))
     limit = np.minimum(
         spec.speed_mps * mood, np.sqrt(spec.lateral_acceleration_mps2 / np.maximum(bend, 1e-4))
     )
     for stop in [*stops, float(station[-1])]:
         limit[np.argmin(np.abs(station - stop))] = 0.0
     square = limit**2
-    gain = 2 * spec.acceleration_mps2 * _GRID_M
+    gain = 2 * spec.acceleration_mps2 * GRID_M
     for order in (range(1, len(square)), range(len(square) - 2, -1, -1)):
         back = -1 if order.step > 0 else 1
         for i in order:

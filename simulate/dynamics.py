@@ -1,38 +1,35 @@
-"""The car that the simulated driver steers: a linear single-track model with steering lag.
+"""The car that the simulated driver steers: the core's single-track model, with a steering lag.
 
-Source: Rajamani, "Vehicle Dynamics and Control", 2nd ed., eqs. (2.24)-(2.27); tyre and mass data of
-a mid-size estate car, rounded. Below `_KINEMATIC_MPS` the tyres roll without slip.
+The driver's law (preview of the bend, correction of place and heading) is this room's own; what
+the car makes of it is `vehicle.single_track.lateral`, stepped exactly.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, sin, tan
+from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehicle.parameters import Car
+from vehicle.single_track import lateral, schedule
+
 Floats = NDArray[np.float64]
-_KINEMATIC_MPS = 2.5
 _PREVIEW_S = 0.22
+_STEERING_LAG_S = 0.12
+_STEERING_LIMIT_RAD = 0.6
 
-
-@dataclass(frozen=True, slots=True)
-class Car:
-    """Mass, yaw inertia, axle distances from the centre of gravity, cornering stiffness an axle."""
-
-    mass_kg: float = 1560.0
-    yaw_inertia_kgm2: float = 2650.0
-    front_m: float = 1.22
-    rear_m: float = 1.49
-    front_stiffness_n: float = 98_000.0
-    rear_stiffness_n: float = 118_000.0
-    steering_lag_s: float = 0.12
-
-    @property
-    def wheelbase_m(self) -> float:
-        """Rear axle to front axle."""
-        return self.front_m + self.rear_m
+CAR = Car(
+    name="simulated",
+    source="mass and tyres of a mid-size estate car, rounded; a guess that steers like one",
+    mass_kg=1560.0,
+    yaw_inertia_kgm2=2650.0,
+    cg_to_front_m=1.22,
+    cg_to_rear_m=1.49,
+    front_stiffness_nprad=49_000.0,
+    rear_stiffness_nprad=59_000.0,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +43,19 @@ class Ride:
     steering_rad: Floats
 
 
+def _understeer_s2pm(car: Car) -> float:
+    """Steering angle per lateral acceleration beyond the wheelbase over the radius, times 1/m."""
+    front, rear = 2 * car.front_stiffness_nprad, 2 * car.rear_stiffness_nprad
+    moment = car.cg_to_rear_m * rear - car.cg_to_front_m * front
+    return car.mass_kg * moment / (front * rear * car.wheelbase_m)
+
+
 def follow(line: Floats, step_m: float, travelled_m: Floats, step_s: float, car: Car) -> Ride:
     """Drives along a line.
 
     Args:
-        line: `(k, 2)` points that the rear axle should pass, `step_m` of stations apart.
-        travelled_m: `(n,)` station that should be reached at every time step.
+        line: `(k, 2)` points that the rear axle should pass, `step_m` of the way apart.
+        travelled_m: `(n,)` part of the way that should be behind the car at every time step.
 
     The driver steers the curvature some way ahead and corrects position and heading.
     """
@@ -69,32 +73,27 @@ def follow(line: Floats, step_m: float, travelled_m: Floats, step_s: float, car:
     out = np.empty((count, 7))
     x, y, yaw = want_x[0], want_y[0], want_yaw[0]
     slip, rate, steer = 0.0, 0.0, 0.0
-    drift_gain = car.mass_kg * (
-        car.rear_m * car.rear_stiffness_n - car.front_m * car.front_stiffness_n
-    ) / (car.front_stiffness_n * car.rear_stiffness_n * car.wheelbase_m)  # fmt: skip
+    understeer, rear = _understeer_s2pm(car), car.cg_to_rear_m
+    model = schedule(lateral, car, (0.0, 0.0), step_s)
     for i in range(count):
         c, s = cos(want_yaw[i]), sin(want_yaw[i])
         dx, dy = x - want_x[i], y - want_y[i]
         along, across = c * dx + s * dy, -s * dx + c * dy
-        v = speed[i] - 0.5 * along if speed[i] > 0.0 else 0.0
-        v = max(v, 0.0)
+        v = max(speed[i] - 0.5 * along, 0.0) if speed[i] > 0.0 else 0.0
         off = yaw - want_yaw[i]
-        wish = (car.wheelbase_m + drift_gain * v * v) * (
+        wish = (car.wheelbase_m + understeer * v * v) * (
             ahead[i] - 1.4 * off / max(v * 0.9, 3.0) - 0.7 * across / max(v * 0.9, 3.0) ** 1.5
         )
-        wish = min(max(wish, -0.6), 0.6)
-        steer += (wish - steer) * min(step_s / car.steering_lag_s, 1.0)
-        if v < _KINEMATIC_MPS:
-            rate = v * tan(steer) / car.wheelbase_m
-            slip = car.rear_m * rate
-        else:
-            front = steer - atan2(slip + car.front_m * rate, v)
-            rear = -atan2(slip - car.rear_m * rate, v)
-            push_f, push_r = car.front_stiffness_n * front, car.rear_stiffness_n * rear
-            slip += step_s * ((push_f + push_r) / car.mass_kg - v * rate)
-            rate += step_s * (car.front_m * push_f - car.rear_m * push_r) / car.yaw_inertia_kgm2
-        side = slip - car.rear_m * rate
-        out[i] = (x, y, yaw, v, rate, atan2(slip, v) if v > 0.5 else 0.0, steer)
+        wish = min(max(wish, -_STEERING_LIMIT_RAD), _STEERING_LIMIT_RAD)
+        steer += (wish - steer) * min(step_s / _STEERING_LAG_S, 1.0)
+        (g00, g01), (g10, g11) = model.at(v)[0].tolist()
+        h0, h1 = model.drive[0, 0], model.drive[1, 0]
+        slip, rate = g00 * slip + g01 * rate + h0 * steer, g10 * slip + g11 * rate + h1 * steer
+        if v == 0.0:
+            # the model leaves a standing car what it turned with for some milliseconds
+            slip = rate = 0.0
+        side = v * slip - rear * rate
+        out[i] = (x, y, yaw, v, rate, slip if v > 0.5 else 0.0, steer)
         cy, sy = cos(yaw), sin(yaw)
         x += step_s * (v * cy - side * sy)
         y += step_s * (v * sy + side * cy)

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from drivelog.errors import ConfigError, InputError
 
+# from the rear axle's path to the kerb: half a car and a hand's breadth
+_BESIDE_AXLE_M = 1.1
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -121,6 +123,20 @@ class TrafficSpec(_Part):
     pedestrians_per_km: NotNegative = 14.0
 
 
+class UTurnSpec(_Part):
+    """A turn on the street, the way back in the other lane, and another turn: on it goes."""
+
+    at_m: Positive
+    back_to_m: Positive
+    radius_m: Annotated[float, Field(ge=4.3, le=15.0)] = 4.6
+
+    @model_validator(mode="after")
+    def _has_room(self) -> UTurnSpec:
+        if self.back_to_m > self.at_m - 40.0:
+            raise ValueError("a U-turn must lead back by 40 m at least: lower back_to_m")
+        return self
+
+
 class DriveSpec(_Part):
     """How the car is driven: lane, speeds, stops and what the driver does besides."""
 
@@ -133,6 +149,7 @@ class DriveSpec(_Part):
     stops_m: list[float] = Field(default_factory=list)
     wander_sd_m: tuple[NotNegative, NotNegative] = (0.10, 0.27)
     evasions: NotNegative = 0.0
+    u_turns: list[UTurnSpec] = Field(default_factory=list)
 
 
 class Scenario(_Part):
@@ -152,6 +169,25 @@ class Scenario(_Part):
     traffic: TrafficSpec = Field(default_factory=TrafficSpec)
     drive: DriveSpec = Field(default_factory=DriveSpec)
     backdrop: bool = True
+
+    @model_validator(mode="after")
+    def _turns_fit_the_street(self) -> Scenario:
+        room = self.section.road_half_width_m + self.section.parking_width_m - _BESIDE_AXLE_M
+        for turn in self.drive.u_turns:
+            if turn.radius_m > room:
+                raise ValueError(
+                    f"drive.u_turns: radius_m {turn.radius_m:g} is too wide for this street, whose "
+                    f"kerbs leave {room:.1f} m; widen road_half_width_m or parking_width_m"
+                )
+        return self
+
+    def in_u_turn(self, station_m: float) -> bool:
+        """Whether a car turns round there, so that nothing may be parked on the road."""
+        return any(
+            abs(station_m - place) < turn.radius_m + 16.0
+            for turn in self.drive.u_turns
+            for place in (turn.at_m, turn.back_to_m)
+        )
 
     def lit(self, light: str) -> Scenario:
         """The same world at dusk or under clouds."""

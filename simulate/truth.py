@@ -79,7 +79,8 @@ def write_truth(
 def write_signals(folder: Path, motion: Motion) -> None:
     """Writes signals.csv: steering, accelerations, true side-slip; `polemap estimate` reads it."""
     rows = slice(None, None, _SIGNAL_EVERY)
-    swing = motion.speed_mps * motion.yaw_rate_radps
+    turning = motion.yaw_rate_radps + np.gradient(motion.sideslip_rad, motion.stamp_s)
+    swing = motion.speed_mps * turning
     table = np.column_stack(
         [
             motion.stamp_s, motion.steering_rad, motion.yaw_rate_radps, motion.acceleration_mps2,

@@ -135,6 +135,7 @@ def _row(
             long = row.kind in ("fence", "hedge")
             crowded = any(np.hypot(x - a, y - b) < r + reach for a, b, r in blocked)
             mouth = _in_mouth(scenario, here, side, 4.0 if long else reach)
+            mouth |= row.offset_m < 0 and scenario.in_u_turn(here)
             if rng.uniform() > row.keep or (crowded and not long) or mouth:
                 continue
             if not long:

@@ -7,9 +7,9 @@ import pytest
 
 from drivelog.errors import ConfigError
 from simulate.driver import STEP_S, drive_route
-from simulate.dynamics import Car, follow
+from simulate.dynamics import CAR, follow
 from simulate.route import make_route
-from simulate.scenario import DriveSpec, Scenario
+from simulate.scenario import DriveSpec, Scenario, UTurnSpec
 
 
 def route_of(street: Scenario):  # type: ignore[no-untyped-def]
@@ -86,17 +86,55 @@ def test_an_open_route_has_one_lap(street: Scenario) -> None:
 @pytest.mark.parametrize("speed", [6.0, 15.0])
 def test_a_steady_circle_has_the_side_slip_of_the_single_track_model(speed: float) -> None:
     """beta = b/R - m a v^2 / (C_r L R), Rajamani (3.21), with a, b the axle distances."""
-    car, radius = Car(), 60.0
+    car, radius = CAR, 60.0
     angle = np.arange(0, 2 * np.pi, 0.25 / radius)
     line = radius * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1)
     time = np.arange(0, 0.8 * len(line) * 0.25 / speed, STEP_S)
     ride = follow(line, 0.25, speed * time, STEP_S, car)
     tail = slice(len(time) // 2, len(time) - 200)
     assert ride.yaw_rate_radps[tail].mean() == pytest.approx(speed / radius, rel=0.01)
-    rear_slip = car.mass_kg * car.front_m * speed**2 / (
-        car.rear_stiffness_n * car.wheelbase_m * radius
+    rear_slip = car.mass_kg * car.cg_to_front_m * speed**2 / (
+        2 * car.rear_stiffness_nprad * car.wheelbase_m * radius
     )  # fmt: skip
-    expected = car.rear_m / radius - rear_slip
+    expected = car.cg_to_rear_m / radius - rear_slip
     assert ride.sideslip_rad[tail].mean() == pytest.approx(expected, abs=3e-4)
     distance = np.hypot(ride.pose[tail, 0], ride.pose[tail, 1] - radius)
     assert np.abs(distance - radius).max() < 0.25
+
+
+def test_a_u_turn_leads_back_in_the_other_lane_and_on(street: Scenario) -> None:
+    long = make_route([(0, 0), (300, 0), (300, 60), (0, 60)], 20.0, True)
+    turn = UTurnSpec(at_m=110.0, back_to_m=45.0, radius_m=4.8)
+    quiet = DriveSpec(wander_sd_m=(0.0, 0.0), speed_mps=9.0)
+    spec = quiet.model_copy(update={"u_turns": [turn]})
+    motion = drive_route(long, spec, 2, np.random.default_rng(3))
+    plain = drive_route(long, quiet, 2, np.random.default_rng(3))
+    street_yaw = long.at(motion.station_m)[:, 2]
+    back = np.cos(motion.pose[:, 2] - street_yaw) < -0.9
+    # twice 65 m, and the last of each turn
+    assert motion.speed_mps[back].sum() * STEP_S == pytest.approx(130, abs=25)
+    lane = back & (np.abs(np.mod(motion.station_m, long.length_m) - 77) < 12)
+    assert np.median(motion.lateral_m[lane]) == pytest.approx(-spec.lane_offset_m, abs=0.1)
+    assert np.abs(motion.wander_m).max() < 0.6
+    assert np.abs(motion.steering_rad).max() < 0.6
+    extra = 2 * 2 * (65 + np.pi * 4.8)
+    way = [m.speed_mps.sum() * STEP_S for m in (motion, plain)]
+    assert way[0] - way[1] == pytest.approx(extra, rel=0.05)
+    end = long.length_m * 2
+    assert motion.station_m[-1] == pytest.approx(end, abs=1.0)
+    assert len(motion.lap_starts_s) == 3
+    there = np.interp(motion.lap_starts_s, motion.stamp_s, motion.station_m)
+    assert there == pytest.approx([0, long.length_m, end], abs=1.0)
+
+
+def test_u_turns_need_room(street: Scenario) -> None:
+    route = route_of(street)
+    spec = DriveSpec(u_turns=[UTurnSpec(at_m=95.0, back_to_m=50.0)])
+    with pytest.raises(ConfigError, match=r"the turn at 95 m back to 50 m leaves the street"):
+        drive_route(route, spec, 1, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="lead back by 40 m at least"):
+        UTurnSpec(at_m=60.0, back_to_m=30.0)
+    fields = street.model_dump()
+    fields["drive"]["u_turns"] = [{"at_m": 80.0, "back_to_m": 20.0}]
+    with pytest.raises(ValueError, match=r"kerbs leave 2\.2 m"):
+        Scenario.model_validate(fields)
