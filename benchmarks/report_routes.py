@@ -130,7 +130,10 @@ def _step(target: Path | None, words: list[object]) -> None:
         print(f"polemap {line[0]}: {target} is there", flush=True)
         return
     begin = time.monotonic()
-    subprocess.run([sys.executable, "-c", "from tools.cli import main; main()", *line], check=True)
+    command = [sys.executable, "-c", "from tools.cli import main; main()", *line]
+    code = subprocess.run(command, check=False).returncode
+    if code != 0:
+        raise SystemExit(code)  # the command has said why
     print(f"polemap {' '.join(line)}: {time.monotonic() - begin:.0f} s", flush=True)
 
 
