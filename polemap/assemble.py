@@ -282,15 +282,18 @@ def _evidence_columns(
 ) -> dict[str, NDArray[np.generic]]:
     directions = np.zeros(n, dtype=np.int64)
     np.bitwise_or.at(directions, owner, landmarks.directions)
-    nearest = np.full(n, np.inf)
+    nearest, farthest = np.full(n, np.inf), np.full(n, -np.inf)
     np.fmin.at(nearest, owner, landmarks.range_min_m)
+    np.fmax.at(farthest, owner, landmarks.range_max_m)
     seen = np.sum([counts.seen for _, _, counts in drives], axis=0)
     looks = np.sum([counts.looks for _, _, counts in drives], axis=0)
     return {
         "passes": np.bincount(owner, minlength=n).astype(np.int64),
         "directions": np.bitwise_count(directions).astype(np.int64),
         "range_min_m": np.where(np.isfinite(nearest), nearest, np.nan),
+        "range_max_m": np.where(np.isfinite(farthest), farthest, np.nan),
         "width_sd_m": _weighted(landmarks.width_sd_m, landmarks.observations, owner, n),
+        "height_sd_m": _weighted(landmarks.height_sd_m, landmarks.observations, owner, n),
         "seen_share": np.where(looks > 0, seen / np.where(looks > 0, looks, 1.0), np.nan),
     }
 

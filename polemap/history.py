@@ -29,9 +29,11 @@ _PASS = (
     "east_m", "north_m", "var_east_m2", "var_north_m2", "cov_east_north_m2", "reference_sd_m",
     "lever_m", "direction_rad", "width_m", "width_sd_m", "height_m", "observations", "first_s",
     "last_s", "directions", "range_min_m", "gain_east_m_per_px", "gain_north_m_per_px",
-    "aligned_sd_m",
+    "aligned_sd_m", "height_sd_m", "range_max_m",
 )  # fmt: skip
-_PASS_BEFORE = 16  # values of a pass in maps of version 0.1.0, which had no gains
+# values of a pass in maps of before, and what stands for those that they lack
+_PASS_BEFORE = 16
+_LACKING = (0.0, 0.0, 0.0, None, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +137,7 @@ def open_history(pole_map: PoleMap) -> OldMap:
             counts = drives.setdefault(key, Evidence(np.zeros(n), np.zeros(n)))
             counts.seen[pole], counts.looks[pole] = entry["seen"], entry["looks"]
             for values in entry["passes"]:
-                rows.append([*values, *[0.0] * (len(_PASS) - len(values))])
+                rows.append([*values, *(_LACKING if len(values) == _PASS_BEFORE else ())])
                 poles.append(pole)
                 names.append(key[1])
                 starts.append(key[0])
@@ -177,7 +179,8 @@ def _as_pass(pole_map: PoleMap, row: int) -> list[float]:
         float(pole_map.points_m[row, 0]), float(pole_map.points_m[row, 1]),
         float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[0, 1]),
         0.0, 0.0, 0.0, float(pole_map.width_m[row]), np.nan, float(pole_map.height_m[row]),
-        float(max(pole_map.observations[row], 1)), 0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0,
+        float(max(pole_map.observations[row], 1)), 0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0, np.nan,
+        np.nan,
     ]  # fmt: skip
 
 
@@ -189,6 +192,7 @@ def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> PassLa
     plain = (
         "reference_sd_m", "lever_m", "direction_rad", "width_m", "width_sd_m", "height_m",
         "first_s", "last_s", "range_min_m", "aligned_sd_m",
+        "height_sd_m", "range_max_m",
     )  # fmt: skip
     return PassLandmarks(
         drive=names,

@@ -41,7 +41,8 @@ class PassLandmarks:
         direction_rad: `(n,)` mean direction from the car to the pole, from grid east.
         first_s, last_s: `(n,)` stamps of the first and last sighting.
         directions: `(n,)` bit field of the eighths of the circle it was seen from.
-        range_min_m: `(n,)`.
+        range_min_m, range_max_m: `(n,)` from how near to how far it was seen.
+        width_sd_m, height_sd_m: `(n,)` robust scatter of single sightings.
     """
 
     drive: NDArray[np.str_]
@@ -56,11 +57,13 @@ class PassLandmarks:
     width_m: Floats
     width_sd_m: Floats
     height_m: Floats
+    height_sd_m: Floats
     observations: Whole
     first_s: Floats
     last_s: Floats
     directions: Whole
     range_min_m: Floats
+    range_max_m: Floats
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -204,11 +207,13 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
     np.bitwise_or.at(directions, rows, 1 << eighth)
     total = np.bincount(rows, weight, n)
     width, width_sd = _median_and_sd(sightings.width_m, rows, n)
+    height, height_sd = _median_and_sd(sightings.height_m, rows, n)
     first, last = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(first, rows, sightings.stamp_s)
     np.maximum.at(last, rows, sightings.stamp_s)
-    nearest = np.full(n, np.inf)
+    nearest, farthest = np.full(n, np.inf), np.zeros(n)
     np.minimum.at(nearest, rows, sightings.range_m)
+    np.maximum.at(farthest, rows, sightings.range_m)
     landmarks = PassLandmarks(
         drive=np.full(n, sightings.drive),
         start_s=np.full(n, sightings.start_s),
@@ -221,12 +226,14 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
         direction_rad=direction,
         width_m=width,
         width_sd_m=width_sd,
-        height_m=_median_and_sd(sightings.height_m, rows, n)[0],
+        height_m=height,
+        height_sd_m=height_sd,
         observations=count.astype(np.int64),
         first_s=first,
         last_s=last,
         directions=directions,
         range_min_m=nearest,
+        range_max_m=farthest,
     )
     return landmarks, rows.astype(np.int64)
 

@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 _STEP_M = 2.0
 _CAMERA_RANGE_M = 25.0
 _WORST_M = 1.0
+_CELL_M = 50.0
 # a slim bar beside the map
 _BAR: dict[str, Any] = {"shrink": 0.5, "aspect": 30, "pad": 0.01}
 
@@ -109,8 +110,18 @@ def _finite(value: float) -> float | None:
     return round(value, 6) if np.isfinite(value) else None
 
 
+def _density(axes: Any, points: Floats) -> Any:
+    """Shade cells of a quarter of a hectare by how many poles stand there, as poles a hectare."""
+    low, high = points.min(axis=0) - _CELL_M, points.max(axis=0) + _CELL_M
+    edges = [np.arange(low[axis], high[axis] + _CELL_M, _CELL_M) for axis in (0, 1)]
+    count, east, north = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
+    hectare = count.T * (1e4 / _CELL_M**2)
+    shown = np.ma.masked_equal(hectare, 0.0)
+    return axes.pcolormesh(east, north, shown, cmap="Greys", vmin=0.0, alpha=0.35, zorder=0)
+
+
 def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None:
-    """Poles coloured by existence and sized by width, routes by their lateral bound."""
+    """Poles coloured by existence, sized by width; their density; routes by the lateral bound."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -118,6 +129,8 @@ def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     centre = pole_map.points_m.mean(axis=0).round() if pole_map.frame.is_utm else np.zeros(2)
+    shade = _density(axes, pole_map.points_m - centre)
+    figure.colorbar(shade, ax=axes, shrink=0.6, label="poles a hectare")
     for part in parts:
         points = part.poses[:, :2] - centre
         bound = np.minimum(part.lateral_sd_m, _WORST_M)

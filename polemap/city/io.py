@@ -16,7 +16,7 @@ from polemap.observe import DriveObservations
 from polemap.passes import PassLandmarks
 from polemap.sightings import Looks, Sightings
 
-_VERSION = 2
+_VERSION = 3
 _SCALARS = ("drive", "frame", "looks", "without_pose")
 
 

@@ -74,7 +74,7 @@ def from_columns(
         height_m=_default(numbers["height_m"], unknown.copy()),
         observations=_default(numbers["observations"], np.zeros(n, dtype=np.int64)),
         drives=_default(numbers["drives"], np.zeros(n, dtype=np.int64)),
-        existence=np.where(np.isnan(existence), DEFAULT_EXISTENCE, existence),
+        existence=_filled(existence, DEFAULT_EXISTENCE),
         extra=dict(extra or {}),
         notes=notes,
     )
@@ -93,9 +93,10 @@ def _column(columns: Mapping[str, NDArray[Any]], name: str, n: int) -> NDArray[A
         return None
     raw = np.asarray(columns[name])
     if name in _WHOLE and raw.dtype.kind in "iu" and len(raw) == n:
-        return raw.astype(np.int64, copy=False)
+        return raw if name != "id" else raw.astype(np.int64, copy=False)
     try:
-        values = np.asarray(raw, dtype=np.float64)
+        # a lean map of a whole city stays lean
+        values = raw if raw.dtype == np.float32 else np.asarray(raw, dtype=np.float64)
         if name in _WHOLE:
             values = np.where(np.isfinite(values), values, 0.0 if name != "id" else np.nan)
             if name == "id" and not np.isfinite(values).all():
@@ -108,18 +109,30 @@ def _column(columns: Mapping[str, NDArray[Any]], name: str, n: int) -> NDArray[A
     return values
 
 
+def _filled(values: NDArray[Any], default: float) -> NDArray[Any]:
+    unknown = np.isnan(values)
+    return np.where(unknown, values.dtype.type(default), values) if unknown.any() else values
+
+
 def _default(values: NDArray[Any] | None, default: NDArray[Any]) -> NDArray[Any]:
     return default if values is None else values
 
 
 def _covariance(numbers: Mapping[str, NDArray[Any] | None], n: int) -> tuple[Floats, int]:
     """Covariances `(n, 2, 2)`, and how many of them had to be assumed."""
-    covariance = np.zeros((n, 2, 2))
-    covariance[:, 0, 0] = covariance[:, 1, 1] = DEFAULT_SD_M**2
     east, north = numbers["var_east_m2"], numbers["var_north_m2"]
     if east is None or north is None:
+        covariance = np.zeros((n, 2, 2))
+        covariance[:, 0, 0] = covariance[:, 1, 1] = DEFAULT_SD_M**2
         return covariance, n
     cross = _default(numbers["cov_east_north_m2"], np.zeros(n))
+    covariance = np.empty((n, 2, 2), dtype=np.result_type(east, north, cross))
+    finite = all(bool(np.isfinite(values.sum())) for values in (east, north, cross))
+    if finite and bool(((east > 0) & (north > 0) & (east * north > cross**2)).all()):
+        covariance[:, 0, 0], covariance[:, 1, 1] = east, north
+        covariance[:, 0, 1] = covariance[:, 1, 0] = cross
+        return covariance, 0
+    covariance[...] = DEFAULT_SD_M**2 * np.eye(2)
     given = np.isfinite(east) & np.isfinite(north) & np.isfinite(cross)
     bad = given & ~((east > 0) & (north > 0) & (east * north > cross**2))
     if bad.any():
@@ -128,10 +141,6 @@ def _covariance(numbers: Mapping[str, NDArray[Any] | None], n: int) -> tuple[Flo
             f"pole map: row {row}: covariance {east[row]}, {north[row]}, {cross[row]} is not "
             "positive definite"
         )
-    if given.all():
-        covariance[:, 0, 0], covariance[:, 1, 1] = east, north
-        covariance[:, 0, 1] = covariance[:, 1, 0] = cross
-        return covariance, 0
     covariance[given, 0, 0], covariance[given, 1, 1] = east[given], north[given]
     covariance[given, 0, 1] = covariance[given, 1, 0] = cross[given]
     return covariance, int(n - np.count_nonzero(given))

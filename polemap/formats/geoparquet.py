@@ -130,6 +130,8 @@ def _points(column: pa.ChunkedArray) -> Floats:
 def _numpy(column: pa.ChunkedArray) -> NDArray[Any] | None:
     if pa.types.is_integer(column.type) and not column.null_count:
         return np.asarray(column.to_numpy())
+    if pa.types.is_float32(column.type) and not column.null_count:
+        return np.asarray(column.to_numpy())
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
         return np.asarray(column.to_numpy(), dtype=np.float64)
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):

@@ -106,6 +106,9 @@ def test_evidence_columns(built: BuiltMap) -> None:
     assert np.all(pole_map.extra["directions"] >= 1)
     assert np.all(pole_map.extra["directions"] <= 8)
     assert np.all(pole_map.extra["range_min_m"] >= 3.0)
+    assert np.all(pole_map.extra["range_max_m"] > pole_map.extra["range_min_m"])
+    assert 0.02 < np.median(pole_map.extra["width_sd_m"]) < 0.08  # the town's detector has 0.05
+    assert np.all(np.isnan(pole_map.extra["height_sd_m"]))  # and tells no heights
     assert np.all((pole_map.extra["seen_share"] > 0) & (pole_map.extra["seen_share"] <= 1))
     assert np.all(pole_map.extra["passes"] >= 3)
 

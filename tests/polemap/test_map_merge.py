@@ -35,11 +35,13 @@ def passes(points: Floats, gain: Floats, drives: int) -> PassLandmarks:
         width_m=ones,
         width_sd_m=ones,
         height_m=ones,
+        height_sd_m=ones,
         observations=np.full(n, 20),
         first_s=0.0 * ones,
         last_s=ones,
         directions=np.ones(n, dtype=np.int64),
         range_min_m=ones,
+        range_max_m=ones,
     )
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from drivelog.errors import InputError
 from polemap.assemble import assemble_map
 from polemap.city.cutting import Buckets, LandmarkCut, places
 from polemap.city.tiles import TileTask, here, merge_tile, merge_tiles
+from polemap.history import open_history
 from polemap.landmark_map import PoleMap
 from polemap.mapping_config import MappingConfig
 from polemap.observe import DriveObservations, observe_drive
 from polemap.passes import PassLandmarks
+from polemap.upkeep import match_points
 from tests.polemap.town import FRAME, drive_through, make_town, route
 
 CONFIG = MappingConfig()
@@ -81,6 +87,25 @@ def test_an_update_by_tiles(days: list[DriveObservations]) -> None:
     assert_same_rows(tiled, plain)
 
 
+def test_histories_of_older_maps_are_read(days: list[DriveObservations]) -> None:
+    """Passes with the sixteen values that they had before drift and disparity were modelled."""
+    first = assemble_map(days[:1], CONFIG, FRAME).pole_map
+
+    def older(text: str) -> str:
+        entries = json.loads(text)
+        for entry in entries:
+            entry["passes"] = [values[:16] for values in entry["passes"]]
+        return json.dumps(entries)
+
+    history = np.array([older(text) for text in first.extra["history"]])
+    before = replace(first, extra={**first.extra, "history": history}, doubtful=None)
+    updated = assemble_map(days[1:2], CONFIG, FRAME, update=before).pole_map
+    assert len(match_points(updated.points_m, first.points_m, 0.3)) >= 0.9 * len(first)
+    broken = np.array([text.replace("[[", "[[1.0,", 1) for text in first.extra["history"]])
+    with pytest.raises(InputError, match="another number of values"):
+        open_history(replace(first, extra={**first.extra, "history": broken}))
+
+
 def fence(n: int, step_m: float) -> PassLandmarks:
     """Passes of two drives along a fence, each post near enough to the next to be linked to it."""
     rng = np.random.default_rng(0)
@@ -100,11 +125,13 @@ def fence(n: int, step_m: float) -> PassLandmarks:
         width_m=0.1 * ones,
         width_sd_m=0.01 * ones,
         height_m=ones,
+        height_sd_m=ones,
         observations=np.full(2 * n, 20),
         first_s=0.0 * ones,
         last_s=ones,
         directions=np.ones(2 * n, dtype=np.int64),
         range_min_m=5.0 * ones,
+        range_max_m=9.0 * ones,
     )
 
 

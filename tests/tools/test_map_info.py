@@ -80,9 +80,22 @@ def test_update_diff_picture_and_layer(place: Path, capsys: pytest.CaptureFixtur
     assert all(f["properties"]["change"] in ("added", "removed", "moved") for f in marked)
 
 
+@pytest.mark.slow
+def test_workers_and_tiles_give_the_same_rows(place: Path) -> None:
+    drives = [str(place / "monday"), str(place / "friday")]
+    assert run(["map", *drives, "--out", str(place / "one.parquet")]) == 0
+    tiles = ["--workers", "2", "--set", "polemap.mapping.tile_m=60"]
+    assert run(["map", *drives[::-1], "--out", str(place / "many.parquet"), *tiles]) == 0
+    assert not list(place.glob(".*checkpoints"))
+    one, many = read_map(place / "one.parquet"), read_map(place / "many.parquet")
+    for name in ("ids", "points_m", "covariance_m2", "existence", "observations"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
+    np.testing.assert_array_equal(one.extra["history"], many.extra["history"])
+
+
 def test_conversions(place: Path) -> None:
     pole_map = read_map(place / "a.gpkg")
-    for name in ("a.osm", "a.xodr", "a.parquet"):
+    for name in ("a.osm", "a.osm.pbf", "a.xodr", "a.parquet"):
         arguments = ["map", "--convert", str(place / "a.gpkg"), "--out", str(place / name)]
         assert run(arguments) == 0
     back = read_map(place / "a.osm")
