@@ -17,6 +17,7 @@ class House:
     mesh: Mesh
     width_m: float
     depth_m: float
+    height_m: float
     pipes_m: tuple[tuple[float, float], ...]
 
 
@@ -72,7 +73,7 @@ def house(rng: np.random.Generator, width_m: float, storeys: int) -> House:
             )
             pipes.append((x, 0.08))
     parts.append(_roof(rng, width_m, depth, height))
-    return House(join(parts), width_m, depth, tuple(pipes))
+    return House(join(parts), width_m, depth, height, tuple(pipes))
 
 
 def _window(

@@ -110,14 +110,18 @@ class OdometryConfig(_Section):
 
 
 class GnssConfig(_Section):
-    """A cheap receiver: slowly wandering error, jumps near buildings, outages."""
+    """A cheap receiver: slowly wandering error, jumps near buildings, outages.
+
+    `multipath_per_min` jumps a minute come beside the highest fronts, fewer beside lower ones and
+    none where no house is near.
+    """
 
     rate_hz: Positive = 2.0
     wander_sd_m: NotNegative = 1.8
     wander_time_s: Positive = 60.0
     noise_sd_m: NotNegative = 0.35
     multipath_sd_m: NotNegative = 2.5
-    multipath_per_min: NotNegative = 3.0
+    multipath_per_min: NotNegative = 5.0
     multipath_time_s: Positive = 6.0
     outages_per_min: NotNegative = 0.15
     outage_s: Positive = 8.0

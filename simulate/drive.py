@@ -230,7 +230,7 @@ def simulate_drive(
             _write_shots(writer, plan, world, advance)
         rng = np.random.default_rng([seed, 22])
         writer.odometry(sensors.odometry(plan.motion, config.odometry, rng))
-        writer.gnss(sensors.gnss(plan.motion, plan.origin_m, config.gnss, rng))
+        writer.gnss(sensors.gnss(plan.motion, plan.origin_m, config.gnss, rng, world.fronts))
         writer.reference(sensors.reference(plan.motion, plan.origin_m, config.reference, rng))
         writer.laps(
             Lap(f"lap_{k + 1}", float(a), float(b))

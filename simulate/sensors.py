@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
 from simulate.driver import Motion
+from simulate.skyline import Fronts, echoes
 from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
+# of a multipath error, how much lies along the front against across it
+_ALONG_FRONT = 0.5
 
 
 def gauss_markov(
@@ -68,9 +71,17 @@ def odometry(motion: Motion, config: OdometryConfig, rng: np.random.Generator) -
 
 
 def gnss(
-    motion: Motion, origin_m: Floats, config: GnssConfig, rng: np.random.Generator
+    motion: Motion,
+    origin_m: Floats,
+    config: GnssConfig,
+    rng: np.random.Generator,
+    fronts: Fronts,
 ) -> GnssStream:
-    """Fixes of a cheap receiver; multipath comes as jumps that hold for some seconds."""
+    """Fixes of a cheap receiver; beside high fronts multipath comes as jumps that hold a while.
+
+    A jump lasts some seconds and ends at the latest where the houses do; it goes mainly to or
+    from the front that echoes.
+    """
     end = motion.stamp_s[-1]
     stamps = np.arange(rng.uniform(0, 1 / config.rate_hz), end, 1.0 / config.rate_hz)
     pose = motion.at(stamps)
@@ -85,11 +96,18 @@ def gnss(
     error = gauss_markov(stamps, config.wander_sd_m, config.wander_time_s, rng, 2)
     error += config.noise_sd_m * rng.standard_normal((len(stamps), 2))
     hdop = 0.9 + 0.2 * np.abs(gauss_markov(stamps, 1.0, 30.0, rng)[:, 0])
+    share, toward = echoes(antenna, fronts)
     for _ in range(int(rng.poisson(config.multipath_per_min * end / 60))):
         start, length = rng.uniform(0, end), rng.exponential(config.multipath_time_s)
-        jump = config.multipath_sd_m * rng.standard_normal(2)
-        during = (stamps >= start) & (stamps < start + length)
-        error[during] += jump
+        jump = config.multipath_sd_m * rng.standard_normal(2) * (1.0, _ALONG_FRONT)
+        first = min(int(np.searchsorted(stamps, start)), len(stamps) - 1)
+        if rng.uniform() >= share[first]:
+            continue
+        beyond = np.flatnonzero(share[first:] == 0.0)
+        until = stamps[first + beyond[0]] if len(beyond) else np.inf
+        during = (stamps >= start) & (stamps < min(start + length, until))
+        x, y = toward[first]
+        error[during] += (jump[0] * x - jump[1] * y, jump[0] * y + jump[1] * x)
         # the receiver notices only part of it
         hdop[during] += rng.uniform(0.2, 1.2) * np.hypot(*jump) / config.multipath_sd_m
     seen = np.ones(len(stamps), dtype=np.bool_)

@@ -14,6 +14,7 @@ from simulate.mesh import Mesh, join
 from simulate.objects import MAKERS, Maker, Wish
 from simulate.route import CrossSection, Route, make_route
 from simulate.scenario import HousesSpec, RowSpec, Scenario
+from simulate.skyline import Fronts
 from simulate.vegetation import PLANTS
 from simulate.vehicles import PARKED
 
@@ -48,6 +49,7 @@ class World:
     section: CrossSection
     mesh: Mesh
     objects: tuple[WorldObject, ...]
+    fronts: Fronts
 
     def poles(self) -> tuple[WorldObject, ...]:
         """The objects that belong into a pole map."""
@@ -68,8 +70,11 @@ def make_world(scenario: Scenario, seed: int, removed: frozenset[int] = frozense
     parts += [side_street(route, section, scenario.section, s) for s in scenario.side_streets]
     objects: list[WorldObject] = []
     blocked: list[tuple[float, float, float]] = []
+    fronts: list[tuple[float, float, float, float, float]] = []
     for index, spec in enumerate(scenario.houses):
-        parts += _houses(spec, scenario, route, section, np.random.default_rng([seed, 2, index]))
+        rng = np.random.default_rng([seed, 2, index])
+        meshes, places = _houses(spec, scenario, route, section, rng)
+        parts, fronts = parts + meshes, fronts + places
     for index, row in enumerate(scenario.rows):
         maker = KINDS.get(row.kind)
         if maker is None:
@@ -91,7 +96,7 @@ def make_world(scenario: Scenario, seed: int, removed: frozenset[int] = frozense
             backdrop(np.random.default_rng([seed, 4]), (float(centre[0]), float(centre[1])), reach)
         )
     standing = tuple(o for o in objects if o.owner not in removed)
-    return World(scenario, seed, route, section, join(parts), standing)
+    return World(scenario, seed, route, section, join(parts), standing, Fronts.of(fronts))
 
 
 def _sides(side: str) -> tuple[float, ...]:
@@ -157,9 +162,9 @@ def _houses(
     route: Route,
     section: CrossSection,
     rng: np.random.Generator,
-) -> list[Mesh]:
-    """Houses with their fronts parallel to the street; none inside a tight bend."""
-    parts = []
+) -> tuple[list[Mesh], list[tuple[float, float, float, float, float]]]:
+    """Houses with their fronts parallel to the street, and these; none inside a tight bend."""
+    parts, fronts = [], []
     for side in _sides(spec.side):
         station = float(rng.uniform(0, 6))
         while station < route.length_m - 8:
@@ -179,4 +184,5 @@ def _houses(
                 continue
             base = float(section.height_at(lateral)) - 0.1
             parts.append(built.mesh.placed(x, y, base, yaw if side < 0 else yaw + np.pi))
-    return parts
+            fronts.append((x, y, yaw, width, built.height_m))
+    return parts, fronts

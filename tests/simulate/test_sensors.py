@@ -10,10 +10,13 @@ from simulate.config import GnssConfig, LatencyConfig, OdometryConfig, Reference
 from simulate.driver import Motion, drive_route
 from simulate.route import make_route
 from simulate.scenario import Scenario
+from simulate.skyline import Fronts, echoes
 from simulate.traffic import make_traffic
 from simulate.world import make_world
 
 ORIGIN = np.array([400_000.0, 5_800_000.0])
+OPEN = Fronts.of([])
+CANYON = Fronts.of([(20.0, -15.0, 0.0, 400.0, 200.0)])
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +65,7 @@ def test_gnss_errors_over_many_drives(motion: Motion) -> None:
     quiet = GnssConfig(multipath_per_min=0, outages_per_min=0)
     errors = []
     for seed in range(60):
-        stream = sensors.gnss(motion, ORIGIN, quiet, np.random.default_rng(seed))
+        stream = sensors.gnss(motion, ORIGIN, quiet, np.random.default_rng(seed), OPEN)
         pose = motion.at(stream.stamp_s)
         antenna = pose[:, :2] + 0.4 * np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], 1)
         place = np.stack([stream.east_m, stream.north_m], 1) - ORIGIN
@@ -76,11 +79,41 @@ def test_gnss_jumps_raise_hdop_and_outages_remove_fixes(motion: Motion) -> None:
     loud = GnssConfig(multipath_per_min=30, outages_per_min=0, multipath_sd_m=8)
     gone = GnssConfig(outages_per_min=20)
     streams = [
-        sensors.gnss(motion, ORIGIN, config, np.random.default_rng(1))
+        sensors.gnss(motion, ORIGIN, config, np.random.default_rng(1), CANYON)
         for config in (quiet, loud, gone)
     ]
     assert streams[1].hdop.max() > streams[0].hdop.max() + 0.2
     assert len(streams[2]) < 0.8 * len(streams[0])
+
+
+def test_gnss_jumps_come_beside_high_fronts_only_and_across_them(motion: Motion) -> None:
+    # one tall house along the first leg of the loop, which lies on the x axis
+    beside = Fronts.of([(20.0, -14.0, 0.0, 16.0, 12.0)])
+    silent = {"wander_sd_m": 0.0, "noise_sd_m": 0.0, "outages_per_min": 0.0}
+    config = GnssConfig(multipath_per_min=60, multipath_sd_m=8, **silent)
+    near, far = [], []
+    for seed in range(8):
+        stream = sensors.gnss(motion, ORIGIN, config, np.random.default_rng(seed), beside)
+        pose = motion.at(stream.stamp_s)
+        lever = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], 1)
+        antenna = pose[:, :2] + config.antenna_x_m * lever
+        error = np.stack([stream.east_m, stream.north_m], 1) - ORIGIN - antenna
+        share, _ = echoes(antenna, beside)
+        near.append(error[share > 0.5])
+        far.append(error[share == 0.0])
+    assert np.abs(np.concatenate(far)).max() < 1e-6
+    jumps = np.concatenate(near)
+    assert (np.hypot(*jumps.T) > 1).mean() > 0.2
+    assert jumps[:, 1].std() > 1.3 * jumps[:, 0].std()
+
+
+def test_echoes_rise_with_the_front_and_point_at_it() -> None:
+    fronts = Fronts.of([(0.0, 10.0, 0.0, 20.0, 15.0)])
+    share, toward = echoes(np.array([[0.0, 0.0], [0.0, -60.0], [14.0, 10.0]]), fronts)
+    assert share[0] == 1.0
+    assert share[1] == 0.0
+    assert toward == pytest.approx(np.array([[0, 1], [0, 1], [-1, 0]]), abs=1e-9)
+    assert echoes(np.zeros((2, 2)), OPEN)[0].tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(("kind", "low", "high"), [("good", 0.01, 0.03), ("drifting", 0.4, 1.3)])
