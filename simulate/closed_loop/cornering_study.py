@@ -133,6 +133,10 @@ def cornering_study(
             f"{key}_unrejected_rad": mean(left, settled),
             f"{key}_rejected_rad": mean(done, settled),
             f"{key}_ratio": ratio,
+            f"{key}_ratio_worst": max(
+                d.error_rms_rad(settled) / u.error_rms_rad(settled)
+                for d, u in zip(done, left, strict=True)
+            ),
             f"{key}_whole_ratio": mean(done, begin) / mean(left, begin),
             f"{key}_held_rad": mean(held, settled),
             f"{key}_moment_nm": peak,

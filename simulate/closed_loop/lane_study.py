@@ -95,13 +95,15 @@ def lane_study(
         runs = [run_lane(car, name, gains, seed, hold_s, driver) for seed in range(seeds)]
         report(seeds)
         key = label.replace(", ", "_").replace(" ", "_")
-        rms = float(np.mean([r.error_rms_rad(driver.begin_s) for r in runs]))
+        each = [r.error_rms_rad(driver.begin_s) for r in runs]
+        rms = float(np.mean(each))
         peak = float(np.max([r.peak_rad() for r in runs]))
         moment = float(np.max([r.moment_peak_nm() for r in runs]))
         share = float(np.mean([r.saturated.mean() for r in runs]))
         figures.update(
             {
                 f"{key}_rms_rad": rms,
+                f"{key}_rms_sd_rad": float(np.std(each, ddof=1)) if len(each) > 1 else 0.0,
                 f"{key}_peak_rad": peak,
                 f"{key}_moment_nm": moment,
                 f"{key}_saturated": share,

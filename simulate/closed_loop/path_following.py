@@ -133,12 +133,13 @@ def follow_path(
     The driver steers by the truth until the localizer is sure of itself, then hands over. The
     drive ends early where the car leaves the road.
     """
-    rng = np.random.default_rng(seed)
+    # a generator for each, so that drives of one seed differ by nothing but what is compared
+    rngs = [np.random.default_rng([seed, part]) for part in range(4)]
     bends = min(scenario.lateral_mps2 / scenario.speed_mps**2, scenario.curvature_max_radpm)
     length = scenario.speed_mps * (scenario.duration_s + 2.0) + 60.0
     world = PointScenario(scan_delay_s=scenario.camera_delay_s)
-    road = winding_road(length, bends, world, rng)
-    return _Drive(car, scenario, road, world, rng, config or LocalizeConfig()).run()
+    road = winding_road(length, bends, world, rngs[0])
+    return _Drive(car, scenario, road, world, rngs[1:], config or LocalizeConfig()).run()
 
 
 class _Drive:
@@ -150,17 +151,18 @@ class _Drive:
         scenario: FollowScenario,
         road: Road,
         world: PointScenario,
-        rng: np.random.Generator,
+        rngs: list[np.random.Generator],
         config: LocalizeConfig,
     ) -> None:
+        rng, seen, particles = rngs
         self._car, self._scenario, self._road, self._rng = road_car(car), scenario, road, rng
         self._world = world
         self._parameters = plant_of(self._car, PASSENGER_CAR)
         self._plant = Plant(self._parameters)
         self._localizer = Localizer(
-            road.pole_map, config, car.wheelbase_m, rng, processing_delay_s=0.0
+            road.pole_map, config, car.wheelbase_m, particles, processing_delay_s=0.0
         )
-        self._detector = PoleDetector(road.poles_m, road.widths_m, world, rng)
+        self._detector = PoleDetector(road.poles_m, road.widths_m, world, seen)
         self._raw: PfEstimate | None = None
         self._waiting: deque[tuple[float, Floats]] = deque()
         self._past: deque[tuple[float, Pose2D]] = deque()

@@ -15,6 +15,8 @@ from vehicle.control.body_slip import (
     place_pi,
 )
 from vehicle.control.lateral_stability import (
+    GripGuard,
+    LateralCommand,
     LateralLimits,
     LateralStabilityController,
     allocate,
@@ -145,3 +147,15 @@ def test_torque_distribution_gives_the_moment_and_keeps_the_limits() -> None:
 def test_refuses_impossible_limits(limits: LateralLimits) -> None:
     with pytest.raises(VehicleError, match="must be positive"):
         LateralStabilityController((1.0, 1.0), limits)
+
+
+def test_the_guard_hands_back_what_the_wheels_cannot_carry_and_says_so() -> None:
+    guard, asked = GripGuard(), LateralCommand(0.2, 300.0, False)
+    assert guard.step(asked, 0.1, 0.05, 1e-3) == asked
+    for _ in range(60):  # release takes 50 ms
+        given = guard.step(asked, 0.1, -0.3, 1e-3)
+    assert given == LateralCommand(0.1, 0.0, True)
+    steps = 0
+    while guard.step(asked, 0.1, 0.05, 1e-3).saturated:
+        steps += 1
+    assert steps == pytest.approx(1000, abs=2)  # the return takes a second

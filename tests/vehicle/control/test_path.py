@@ -69,3 +69,11 @@ def test_speed_falls_in_bends() -> None:
 def test_refuses_what_is_no_path(points: list[list[float]], message: str) -> None:
     with pytest.raises(VehicleError, match=message):
         Path(np.array(points))
+
+
+def test_the_front_slip_of_a_bend_is_steered_ahead() -> None:
+    pose, speed = Pose2D(20.0, 0.0, np.pi / 2), 8.0
+    plain, error = stanley_steer(CIRCLE, pose, speed, 0.4, 2.7, StanleySettings())
+    settings = StanleySettings(front_slip_rad_per_mps2=0.01)
+    ahead, _ = stanley_steer(CIRCLE, pose, speed, 0.4, 2.7, settings)
+    assert ahead - plain == pytest.approx(0.01 * speed**2 * error.curvature_radpm)
