@@ -45,26 +45,14 @@ def write_kitti_odometry(
         ConfigError: the drive lacks images or a reference, or its pictures are not 8 bit.
         InputError: the place cannot be written to.
     """
-    if drive.rig is None or not drive.has_frames or drive.reference is None:
-        raise ConfigError(f"drive {drive.name}: the KITTI layout needs images and a reference")
-    poses = drive.reference.at(drive.frame_stamps_s)
-    if not np.isfinite(poses).all():
-        raise ConfigError(f"drive {drive.name}: the reference does not cover every picture")
+    poses = picture_poses(drive)
+    if drive.rig is None:
+        raise ConfigError(f"drive {drive.name}: no camera")
     cameras = camera_poses(poses, drive.rig)
     from_first = np.linalg.inv(cameras[0]) @ cameras
     with atomic_folder(root) as folder:
         place = folder / "sequences" / sequence
-        for side in ("image_0", "image_1"):
-            (place / side).mkdir(parents=True)
-        for row in range(len(poses)):
-            frame = drive.read_frame(row)
-            for side, image in (("image_0", frame.left), ("image_1", frame.right)):
-                if image.dtype != np.uint8:
-                    raise ConfigError("the KITTI layout has 8-bit pictures: set camera.bits=8")
-                done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-                if not done:
-                    raise InputError(f"{place / side}: picture {row} cannot be encoded")
-                (place / side / f"{row:06d}.png").write_bytes(data.tobytes())
+        write_pairs(drive, (place / "image_0", place / "image_1"), digits=6)
         times = drive.frame_stamps_s - drive.frame_stamps_s[0]
         np.savetxt(place / "times.txt", times, fmt="%.6e")
         (place / "calib.txt").write_text(_calibration(drive.rig), encoding="utf-8")
@@ -78,6 +66,39 @@ def write_kitti_odometry(
                 header="x_m,y_m", comments="",
             )  # fmt: skip
     return Path(root) / "sequences" / sequence
+
+
+def picture_poses(drive: Drive) -> Floats:
+    """Rear-axle poses `(n, 3)` of the reference at all pictures.
+
+    Raises:
+        ConfigError: there are no pictures, or no reference at some.
+    """
+    if drive.rig is None or not drive.has_frames or drive.reference is None:
+        raise ConfigError(f"drive {drive.name}: the KITTI layout needs images and a reference")
+    poses = drive.reference.at(drive.frame_stamps_s)
+    if not np.isfinite(poses).all():
+        raise ConfigError(f"drive {drive.name}: the reference does not cover every picture")
+    return poses
+
+
+def write_pairs(drive: Drive, sides: tuple[Path, Path], digits: int) -> None:
+    """Writes all pairs as numbered PNGs into two new folders.
+
+    Raises:
+        ConfigError: the pictures are not 8 bit.
+    """
+    for side in sides:
+        side.mkdir(parents=True)
+    for row in range(len(drive.frame_stamps_s)):
+        frame = drive.read_frame(row)
+        for side, image in zip(sides, (frame.left, frame.right), strict=True):
+            if image.dtype != np.uint8:
+                raise ConfigError("the KITTI layout has 8-bit pictures: set camera.bits=8")
+            done, data = cv2.imencode(".png", image)
+            if not done:
+                raise InputError(f"{side}: picture {row} cannot be encoded")
+            (side / f"{row:0{digits}d}.png").write_bytes(data.tobytes())
 
 
 def _in_first_lidar(points_m: Floats, first_camera: Floats) -> Floats:

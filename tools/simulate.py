@@ -13,6 +13,7 @@ from drivelog.errors import ConfigError
 from polemap.io import read_map
 from simulate.drive import count_frames, simulate_drive
 from simulate.kitti_layout import write_kitti_odometry
+from simulate.kitti_raw_layout import write_kitti_raw
 from simulate.scenario import scenario_names
 from tools.progress import progress
 from tools.settings import ConfigOption, SeedOption, SetOption, load_settings
@@ -28,7 +29,7 @@ def command(
     ] = False,
     images: Annotated[bool, typer.Option(help="Render the stereo pairs.")] = True,
     layout: Annotated[
-        str, typer.Option("--format", help="folder (default) or kitti_odometry.")
+        str, typer.Option("--format", help="folder (default), kitti_odometry or kitti_raw.")
     ] = "folder",
     list_worlds: Annotated[bool, typer.Option("--list", help="Name the worlds.")] = False,
     config: ConfigOption = None,
@@ -44,6 +45,7 @@ def command(
       polemap simulate suburb --out blurred \\
         --set 'simulate.faults=[{kind: blurred_frames, from_s: 5, until_s: 9}]'
       polemap simulate suburb --out kitti --format kitti_odometry --objects
+      polemap simulate suburb --out 2011_09_26 --format kitti_raw
       polemap simulate --list
 
     The same scenario, seed and settings give the same bytes. docs/simulator.md explains worlds,
@@ -54,8 +56,10 @@ def command(
         return
     if not scenario or out is None:
         raise ConfigError("simulate: SCENARIO and --out are needed; --list names the worlds")
-    if layout not in ("folder", "kitti_odometry"):
-        raise ConfigError(f"simulate: --format {layout} is unknown; use folder or kitti_odometry")
+    if layout not in ("folder", "kitti_odometry", "kitti_raw"):
+        raise ConfigError(
+            f"simulate: --format {layout} is unknown; use folder, kitti_odometry or kitti_raw"
+        )
     settings = load_settings(config, set_values)
     frames = count_frames(scenario, laps, seed, settings.simulate) if images else 0
     with progress(frames, f"simulating {scenario}") as advance:
@@ -72,4 +76,7 @@ def command(
             )  # fmt: skip
             drive = open_drive(made)
             poles = read_map(made / "objects.geojson", drive.frame) if objects else None
-            write_kitti_odometry(drive, out, "00", poles)
+            if layout == "kitti_raw":
+                write_kitti_raw(drive, out, poles)
+            else:
+                write_kitti_odometry(drive, out, "00", poles)
