@@ -63,18 +63,28 @@ def unpack(upper: Upper) -> Floats:
     return full
 
 
-def step(pose: tuple[float, float, float], v: float, w: float, dt_s: float) -> tuple[float, ...]:
-    """A pose moved along the arc of constant speed and yaw rate."""
+def step(
+    pose: tuple[float, float, float], v: float, w: float, dt_s: float, slip: float = 0.0
+) -> tuple[float, ...]:
+    """A pose moved along the arc of constant speed and yaw rate; slip as in `predict`."""
     x, y, yaw = pose
     half = 0.5 * w * dt_s
     ratio = sin(half) / half if abs(half) > 1e-9 else 1.0
     chord = v * dt_s * ratio
     heading = yaw + half
-    return (x + chord * cos(heading), y + chord * sin(heading), wrap(heading + half))
+    way = heading - slip * v * w
+    return (x + chord * cos(way), y + chord * sin(way), wrap(heading + half))
 
 
-def predict(mean: Mean, upper: Upper, dt_s: float, noise: Noise) -> tuple[Mean, Upper]:
-    """State and covariance after `dt_s` (not negative): `f(x)`, `F P F' + Q`."""
+def predict(
+    mean: Mean, upper: Upper, dt_s: float, noise: Noise, slip: float = 0.0
+) -> tuple[Mean, Upper]:
+    """State and covariance after `dt_s` (not negative): `f(x)`, `F P F' + Q`.
+
+    Args:
+        slip: the rear axle goes in the direction yaw - slip v w: outward, as its tyres do in a
+            bend, rad per m/s^2. Zero is plain CTRV.
+    """
     x, y, yaw, v, w, scale, offset = mean
     half = 0.5 * w * dt_s
     h2 = half * half
@@ -85,14 +95,15 @@ def predict(mean: Mean, upper: Upper, dt_s: float, noise: Noise) -> tuple[Mean, 
         ratio = sin(half) / half
         slope = (half * cos(half) - sin(half)) / h2
     heading = yaw + half
-    c, s = cos(heading), sin(heading)
+    way = heading - slip * v * w
+    c, s = cos(way), sin(way)
     length = v * dt_s
     chord = length * ratio
     # rows of the transition F: x by (yaw, v, w) is (a, b, g); y by the same is (d, e, f)
-    a, b = -chord * s, dt_s * ratio * c
-    d, e = chord * c, dt_s * ratio * s
-    g = 0.5 * dt_s * (length * slope * c - chord * s)
-    f = 0.5 * dt_s * (length * slope * s + chord * c)
+    a, b = -chord * s, dt_s * ratio * c + slip * w * chord * s
+    d, e = chord * c, dt_s * ratio * s - slip * w * chord * c
+    g = 0.5 * dt_s * (length * slope * c - chord * s) + slip * v * chord * s
+    f = 0.5 * dt_s * (length * slope * s + chord * c) - slip * v * chord * c
     p00, p01, p02, p03, p04, p05, p06 = upper[:7]
     p11, p12, p13, p14, p15, p16 = upper[7:13]
     p22, p23, p24, p25, p26 = upper[13:18]
@@ -115,8 +126,8 @@ def predict(mean: Mean, upper: Upper, dt_s: float, noise: Noise) -> tuple[Mean, 
     dt3 = dt2 * dt_s
     v2 = v * v
     quu, quv = qa * dt3 / 3.0 + noise.along_s * v2 * dt_s, qa * dt2 / 2.0
-    slip = v2 * w
-    qnn = qw * v2 * dt2 * dt3 / 20.0 + noise.slip_s5pm2 * slip * slip * dt_s
+    bend = v2 * w
+    qnn = qw * v2 * dt2 * dt3 / 20.0 + noise.slip_s5pm2 * bend * bend * dt_s
     qny, qnw = qw * v * dt2 * dt2 / 8.0, qw * v * dt3 / 6.0
     new = (
         r00 + a * r02 + b * r03 + g * r04 + c * c * quu + s * s * qnn,

@@ -69,6 +69,7 @@ class _Learned:
     curvature_radpm: float = 0.0
     yaw_rate_scale: float = 0.0
     speed_scale: float = 0.0
+    slip_rad_per_mps2: float = 0.0
 
     @classmethod
     def of(cls, particle_filter: ParticleFilter) -> _Learned:
@@ -78,6 +79,7 @@ class _Learned:
             found.curvature_offset_radpm,
             found.yaw_rate_scale,
             found.speed_scale,
+            particle_filter.slip_rad_per_mps2,
         )
 
     def correct(self, sample: OdometrySample) -> tuple[float, float]:
@@ -124,10 +126,10 @@ class Localizer:
         self._particle_filter = (
             ParticleFilter(pole_map, config, wheelbase_m, rng) if pole_map is not None else None
         )
-        self._filter = OutputFilter(config.output, self._antenna)
+        self._filter = OutputFilter(config.output, self._antenna, config.slip_rad_per_mps2)
         self._limiter = OutputLimiter(config.output)
         self._config: OutputConfig = config.output
-        self._learned = _Learned()
+        self._learned = _Learned(slip_rad_per_mps2=config.slip_rad_per_mps2)
         self._perception = perception
         self._delay_s = processing_delay_s
         self._on_update = on_update
@@ -257,7 +259,12 @@ class Localizer:
             self.counts[f"not_offered_{reason}"] += 1
             return f"not_offered:{reason}", nan, nan
         with self._timed("output_pose"):
-            placed = self._filter.pose(estimate.stamp_s, estimate.pose, estimate.covariance)
+            placed = self._filter.pose(
+                estimate.stamp_s,
+                estimate.pose,
+                estimate.covariance,
+                self._learned.slip_rad_per_mps2,
+            )
         if placed is Placement.TOO_OLD:
             self.counts["late_dropped"] += 1
         self._count("pose", placed)

@@ -23,6 +23,7 @@ def sample_motion(
     wheelbase_m: float,
     config: LocalizeConfig,
     rng: np.random.Generator,
+    slip_rad_per_mps2: Floats | float = 0.0,
 ) -> Floats:
     """Front-axle poses `(n, 3)` after the arcs, each particle with its own noise; yaw not wrapped.
 
@@ -30,6 +31,10 @@ def sample_motion(
     and the heading an additional turn of standard deviation min(alpha3 |yaw rate|, alpha4), without
     which three dimensions could not be sampled. A standing car does not move: the noise of an arc
     without speed and yaw rate is zero.
+
+    The rear axle does not go where the car points: in a bend its tyres slip outward, which the
+    paper leaves out. On an arc of lateral acceleration a it goes in the direction yaw - k a, with
+    `slip_rad_per_mps2` k of every particle, `(n,)`.
 
     Source: Spangenberg (2016), equations (1)-(6), without the division by the yaw rate.
     """
@@ -45,7 +50,8 @@ def sample_motion(
         half = (0.5 * arc.dt_s) * (arc.yaw_rate_radps + yaw_rate_sd * noise[1])
         chord = distance * sinc(half)
         heading = yaw + half
-        c, s = np.cos(heading), np.sin(heading)
+        way = heading - slip_rad_per_mps2 * (arc.speed_mps * arc.yaw_rate_radps)
+        c, s = np.cos(way), np.sin(way)
         aside = config.alpha5_slip_m_per_sqrt_m * np.sqrt(abs(arc.speed_mps) * arc.dt_s) * noise[3]
         east += chord * c - aside * s
         north += chord * s + aside * c

@@ -36,10 +36,14 @@ class OdometryHistory:
 
     Beyond the newest sample its speed and yaw rate hold on. Dead reckoning starts at the origin
     with the first sample; only differences of it mean anything.
+
+    Attributes:
+        slip_rad_per_mps2: the rear axle slips outward by this angle per lateral acceleration.
     """
 
-    def __init__(self, gap_s: float) -> None:
+    def __init__(self, gap_s: float, slip_rad_per_mps2: float = 0.0) -> None:
         self._gap_s = gap_s
+        self.slip_rad_per_mps2 = slip_rad_per_mps2
         self._stamps: list[float] = []
         self._speeds: list[float] = []
         self._yaw_rates: list[float] = []
@@ -78,10 +82,10 @@ class OdometryHistory:
         distance = 0.5 * (speed + self._speeds[-1]) * dt
         half = 0.25 * (yaw_rate + self._yaw_rates[-1]) * dt
         chord = distance * (sin(half) / half if abs(half) > 1e-8 else 1.0)
-        heading = self._yaw[-1] + half
+        heading = self._yaw[-1] + half + self._slip(speed, yaw_rate)
         self._x.append(self._x[-1] + chord * cos(heading))
         self._y.append(self._y[-1] + chord * sin(heading))
-        self._yaw.append(heading + half)
+        self._yaw.append(self._yaw[-1] + 2.0 * half)
         self._travelled.append(self._travelled[-1] + abs(distance))
 
     def _forget(self, before_s: float) -> None:
@@ -96,6 +100,9 @@ class OdometryHistory:
             self._travelled,
         ):
             del track[:first]
+
+    def _slip(self, speed_mps: float, yaw_rate_radps: float) -> float:
+        return -self.slip_rad_per_mps2 * speed_mps * yaw_rate_radps
 
     def rates_at(self, stamp_s: float) -> tuple[float, float]:
         """Speed and yaw rate at a stamp; zero before the first sample exists."""
@@ -156,7 +163,7 @@ class OdometryHistory:
         speed, yaw_rate = self.rates_at(stamp_s)
         distance = 0.5 * (self._speeds[i] + speed) * dt
         turn = 0.5 * (self._yaw_rates[i] + yaw_rate) * dt
-        heading = self._yaw[i] + 0.5 * turn
+        heading = self._yaw[i] + 0.5 * turn + self._slip(speed, yaw_rate)
         chord = distance * float(np.sinc(0.5 * turn / np.pi))
         return np.array(
             [

@@ -72,6 +72,7 @@ def take_odometry(
         state.gnss_rejected_since_s,
         state.decision,
         state.nis,
+        state.slip_rad_per_mps2,
     )
 
 

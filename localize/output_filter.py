@@ -61,12 +61,19 @@ class OutputFilter:
     Args:
         config: settings.
         gnss_antenna_m: `(2,)` antenna in the vehicle frame.
+        slip_rad_per_mps2: of the rear axle, until a pose says better.
     """
 
-    def __init__(self, config: OutputConfig, gnss_antenna_m: Floats | None = None) -> None:
+    def __init__(
+        self,
+        config: OutputConfig,
+        gnss_antenna_m: Floats | None = None,
+        slip_rad_per_mps2: float = 0.0,
+    ) -> None:
         self._config = config
         antenna = np.zeros(2) if gnss_antenna_m is None else np.asarray(gnss_antenna_m)
         self._antenna = (float(antenna[0]), float(antenna[1]))
+        self._slip = slip_rad_per_mps2
         self._noise = Noise(
             2.0 * config.acceleration_mps2**2 * config.acceleration_time_s,
             2.0 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s,
@@ -98,7 +105,13 @@ class OutputFilter:
             self._recent.popleft()
         return None
 
-    def pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> Placement:
+    def pose(
+        self,
+        stamp_s: float,
+        pose: Floats,
+        covariance: Floats,
+        slip_rad_per_mps2: float | None = None,
+    ) -> Placement:
         """Take a healthy pose `(3,)` of the rear axle with its covariance `(3, 3)` in.
 
         The first one starts the filter, or takes over from a start by GNSS. The caller has made
@@ -112,6 +125,7 @@ class OutputFilter:
         event = PoseEvent(
             (float(pose[0]), float(pose[1]), wrap(float(pose[2]))),
             (a + floor_m2, b, c, d + floor_m2, e, f + floor_rad2),
+            self._slip if slip_rad_per_mps2 is None else slip_rad_per_mps2,
         )
         if self._buffer.started:
             return self._buffer.insert(stamp_s, event, kind=_POSE)
@@ -165,7 +179,7 @@ class OutputFilter:
         dt = stamp_s - state.stamp_s
         if dt <= 0.0:
             return state
-        mean, upper = predict(state.mean, state.upper, dt, self._noise)
+        mean, upper = predict(state.mean, state.upper, dt, self._noise, state.slip_rad_per_mps2)
         return state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
 
     # one event
@@ -174,13 +188,14 @@ class OutputFilter:
         mean, upper = state.mean, state.upper
         dt = stamp_s - state.stamp_s
         if dt > 0.0:
-            mean, upper = predict(mean, upper, dt, self._noise)
+            mean, upper = predict(mean, upper, dt, self._noise, state.slip_rad_per_mps2)
         if isinstance(event, OdometryEvent):
             return take_odometry(
                 state, stamp_s, mean, upper, event, self._config, self._odometry_limit
             )
         state = state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
         if isinstance(event, PoseEvent):
+            state = state._replace(slip_rad_per_mps2=event.slip_rad_per_mps2)
             return self._take_pose(state, event)
         if isinstance(event, GnssEvent):
             return self._take_gnss(state, event)
@@ -264,6 +279,7 @@ class OutputFilter:
             stamp_s,
             (0.0, 0.0, 0.0, speed, rate, 0.0, 0.0),
             pack(np.diag([1.0, 1.0, 1.0, *spread, *wrong])),
+            slip_rad_per_mps2=self._slip,
         )
         state = moved(state, pose, upper)._replace(decision="started")
         self._buffer.reset(state if by_pose else state._replace(last_pose_s=_NEVER), stamp_s)

@@ -81,7 +81,8 @@ class OutputLimiter:
     def _carried(self, state: FilterState) -> Pose:
         """The last output moved on by the filter's speed and yaw rate."""
         stamp, pose = self._last or (state.stamp_s, (0.0, 0.0, 0.0))
-        x, y, yaw = step(pose, state.mean[3], state.mean[4], state.stamp_s - stamp)
+        dt = state.stamp_s - stamp
+        x, y, yaw = step(pose, state.mean[3], state.mean[4], dt, state.slip_rad_per_mps2)
         return x, y, yaw
 
     def _approach(self, state: FilterState) -> Pose:

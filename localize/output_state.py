@@ -17,10 +17,12 @@ class OdometryEvent(NamedTuple):
 
 
 class PoseEvent(NamedTuple):
-    """A pose of the particle filter that was offered, with its covariance `(3, 3)` packed."""
+    """A pose of the particle filter that was offered, with its covariance `(3, 3)` packed, and
+    what it holds the slip of the rear axle for."""
 
     pose: Pose
     upper: PoseUpper
+    slip_rad_per_mps2: float = 0.0
 
 
 class GnssEvent(NamedTuple):
@@ -83,6 +85,7 @@ class FilterState(NamedTuple):
         gnss_rejected_since_s: since when all fixes have failed, infinite if they do not.
         decision: what became of the last pose.
         nis: its squared Mahalanobis distance.
+        slip_rad_per_mps2: outward slip of the rear axle per lateral acceleration.
     """
 
     stamp_s: float
@@ -96,3 +99,4 @@ class FilterState(NamedTuple):
     gnss_rejected_since_s: float = float("inf")
     decision: str = ""
     nis: float = float("nan")
+    slip_rad_per_mps2: float = 0.0

@@ -32,7 +32,7 @@ from localize.particles import (
     position_sd,
 )
 from localize.relocation import Relocation
-from localize.resampling import low_variance_indices, particles_needed
+from localize.resampling import jittered, low_variance_indices, particles_needed
 from polemap.association import Landmarks
 from polemap.landmark_map import PoleMap
 from vehicle.pose import shift_forward, wrap_angle
@@ -91,7 +91,7 @@ class ParticleFilter:
         self._config = config
         self._wheelbase_m = wheelbase_m
         self._rng = rng
-        self._history = OdometryHistory(config.odometry_gap_s)
+        self._history = OdometryHistory(config.odometry_gap_s, config.slip_rad_per_mps2)
         self._calibration = OdometryCalibration(config)
         self._relocation = Relocation(pole_map, config)
         self._averages = LikelihoodAverages(config)
@@ -100,6 +100,7 @@ class ParticleFilter:
         self._last_fix_s: float | None = None
         self._newest: tuple[GnssFix, Floats, Floats] | None = None
         self._poses = np.empty((0, 3))
+        self._slips = np.empty(0)
         self._log_weights = np.empty(0)
         self._stamp_s = -np.inf
         self._travelled_m = 0.0
@@ -117,6 +118,13 @@ class ParticleFilter:
     def calibration(self) -> OdometryCalibration:
         """What was learned about the odometry."""
         return self._calibration
+
+    @property
+    def slip_rad_per_mps2(self) -> float:
+        """Outward slip of the rear axle per lateral acceleration, as the cloud guesses it."""
+        if not self.initialized:
+            return self._config.slip_rad_per_mps2
+        return float(self._slips @ normalized(self._log_weights)[0])
 
     def particles(self) -> tuple[Floats, Floats]:
         """Front-axle poses `(n, 3)` and weights `(n,)`, for pictures and tests."""
@@ -191,17 +199,25 @@ class ParticleFilter:
 
     def _move(self, stamp_s: float) -> None:
         arcs = self._history.arcs(self._stamp_s, stamp_s, self._config.arc_s)
-        moved = sample_motion(self._poses, arcs, self._wheelbase_m, self._config, self._rng)
+        moved = sample_motion(
+            self._poses, arcs, self._wheelbase_m, self._config, self._rng, self._slips
+        )
         moved[:, 2] = wrap_angle(moved[:, 2])
         self._poses = moved
 
     def _rear(self) -> Floats:
         return shift_forward(self._poses, -self._wheelbase_m)
 
-    def _place(self, rear: Floats, log_weights: Floats) -> None:
+    def _place(self, rear: Floats, log_weights: Floats, slips: Floats | None = None) -> None:
         self._poses = shift_forward(rear, self._wheelbase_m)
         self._poses[:, 2] = wrap_angle(self._poses[:, 2])
         self._log_weights = log_weights
+        self._slips = self._drawn_slips(len(rear)) if slips is None else slips
+
+    def _drawn_slips(self, count: int) -> Floats:
+        """Slip of newcomers: from what is known of any car, for which none is negative."""
+        mean, sd = self._config.slip_rad_per_mps2, self._config.slip_sd_rad_per_mps2
+        return np.abs(mean + sd * self._rng.standard_normal(count))
 
     def _weigh_fixes(self, reckoned: Floats) -> None:
         """Weigh by the fixes up to now; later ones wait for the next scan."""
@@ -277,6 +293,7 @@ class ParticleFilter:
         self._place(
             np.vstack([self._rear()[kept], rear]),
             np.concatenate([np.zeros(len(kept)), log_weights]),
+            np.concatenate([self._slips[kept], self._drawn_slips(len(rear))]),
         )
 
     def _estimate(self, scan: PoleScan, event: Event | None) -> PfEstimate:
@@ -348,6 +365,7 @@ class ParticleFilter:
         weights, _ = normalized(self._log_weights)
         count = particles_needed(self._poses, weights, config)
         chosen = low_variance_indices(weights, count, self._rng)
+        self._slips = jittered(self._slips[chosen], self._rng)
         self._poses = self._poses[chosen]
         self._log_weights = np.zeros(count)
 
