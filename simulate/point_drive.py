@@ -84,6 +84,7 @@ def point_drive(
     gnss_hz: float = 1.0,
     speed_mps: float = 10.0,
     densities: tuple[float, float] | None = None,
+    slip_rad_per_mps2: float = 0.0,
 ) -> PointDrive:
     """Drive for a while and sample it.
 
@@ -93,6 +94,7 @@ def point_drive(
         speed_mps: about which the speed wanders, or from which it starts.
         densities: of white accelerations along (m^2/s^3) and about the vertical (rad^2/s^3); with
             them the truth is drawn from the CTRV model instead of a city's manners.
+        slip_rad_per_mps2: outward slip of the rear axle per lateral acceleration.
     """
     noise = noise or PointNoise()
     stamps = np.arange(round(duration_s * _TRUTH_HZ) + 1) / _TRUTH_HZ
@@ -101,7 +103,7 @@ def point_drive(
         if densities is None
         else _white(rng, len(stamps), speed_mps, *densities)
     )
-    states = _path(rng, speed, rate)
+    states = _path(rng, speed, rate, slip_rad_per_mps2)
     bare = PointDrive(stamps, states, (), (), (), noise)
     return PointDrive(
         stamps,
@@ -142,11 +144,12 @@ def _white(
     return speed_mps + speed, rate
 
 
-def _path(rng: np.random.Generator, speed: Floats, rate: Floats) -> Floats:
+def _path(rng: np.random.Generator, speed: Floats, rate: Floats, slip: float) -> Floats:
     n, dt = len(speed), 1.0 / _TRUTH_HZ
     turn = rate * dt
     yaw = rng.uniform(-np.pi, np.pi) + np.concatenate([[0.0], np.cumsum(turn[:-1])])
-    steps = move_along_arc(np.stack([np.zeros(n), np.zeros(n), yaw], axis=1), speed * dt, turn)
+    course = yaw - slip * speed * rate
+    steps = move_along_arc(np.stack([np.zeros(n), np.zeros(n), course], axis=1), speed * dt, turn)
     way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps[:-1, :2], axis=0)])
     return np.column_stack([way, wrap_angle(yaw), speed, rate])
 

@@ -31,7 +31,9 @@ class PointScenario:
 
     Attributes:
         pole_spacing_m: mean way along the road from one pole to the next, on both sides together.
-        slip_rad: standard deviation of a slowly wandering angle between heading and motion.
+        slip_rad: standard deviation of a slowly wandering angle between heading and motion, beside
+            what the rear axle slips outward in bends.
+        slip_rad_per_mps2, slip_sd_rad_per_mps2: that, per lateral acceleration; drawn once a drive.
         scan_hz, half_view_rad, range_max_m: the detector.
         p_detection: share of the poles in view that a scan holds.
         clutter_share: share of what a scan holds that is no pole of the map.
@@ -47,7 +49,9 @@ class PointScenario:
     duration_s: float = 60.0
     speed_mps: float = 9.0
     pole_spacing_m: float = 5.0
-    slip_rad: float = 0.004
+    slip_rad: float = 0.002
+    slip_rad_per_mps2: float = 0.0065
+    slip_sd_rad_per_mps2: float = 0.001
     scan_hz: float = 22.0
     scan_delay_s: float = 0.1
     half_view_rad: float = 0.44
@@ -136,6 +140,8 @@ def _drive_path(
     curvature = np.clip(0.012 * _wander(total, _STEP_S, 5.0, rng), -0.03, 0.03)
     yaw_rate = np.asarray(speed * curvature)
     slip = scenario.slip_rad * _wander(total, _STEP_S, 10.0, rng)
+    softness = rng.normal(scenario.slip_rad_per_mps2, scenario.slip_sd_rad_per_mps2)
+    slip -= softness * speed * yaw_rate
     path = np.empty((total, 3))
     pose = np.array([rng.uniform(-100, 100), rng.uniform(-100, 100), rng.uniform(-np.pi, np.pi)])
     for i in range(total):

@@ -38,6 +38,7 @@ def pole_street(
     arrival_s: float = 0.03,
     poles_per_m2: float = 0.008,
     noise: PointNoise | None = None,
+    slip_rad_per_mps2: float = 0.007,
 ) -> Street:
     """Poles at random beside the path, seen with noise, misses and clutter.
 
@@ -47,9 +48,16 @@ def pole_street(
         arrival_s: from a scan's stamp to its arrival.
         poles_per_m2: density over the whole surroundings; a strip of 3.5 m is free of them.
         noise: of odometry and GNSS.
+        slip_rad_per_mps2: outward slip of the rear axle per lateral acceleration.
     """
     rng = np.random.default_rng(seed)
-    truth = point_drive(rng, duration_s=duration_s, pose_hz=scan_hz, noise=noise)
+    truth = point_drive(
+        rng,
+        duration_s=duration_s,
+        pose_hz=scan_hz,
+        noise=noise,
+        slip_rad_per_mps2=slip_rad_per_mps2,
+    )
     low = truth.states[:, :2].min(axis=0) - 40
     high = truth.states[:, :2].max(axis=0) + 40
     points = rng.uniform(low, high, (int(np.prod(high - low) * poles_per_m2), 2))

@@ -57,6 +57,26 @@ def test_prediction_equals_the_array_form(seed, yaw, speed, rate, dt):
     assert np.allclose(step(mean[:3], speed, rate, dt), moved[:3], atol=1e-11)
 
 
+@pytest.mark.parametrize(("speed", "rate"), [(9.0, 0.4), (-3.0, 0.2), (12.0, -0.05)])
+def test_a_slipping_rear_axle_goes_aside_of_where_the_car_points(speed, rate):
+    slip, dt, quiet = 0.006, 0.3, Noise(0.0, 0.0, 0.0)
+    mean = np.array([3.0, -4.0, 0.7, speed, rate, 0.0, 0.0])
+
+    def moved(state):
+        return np.array(predict(tuple(state.tolist()), pack(np.zeros((7, 7))), dt, quiet, slip)[0])
+
+    turned = mean.copy()
+    turned[2] -= slip * speed * rate
+    plain = np.array(predict(tuple(turned.tolist()), pack(np.zeros((7, 7))), dt, quiet)[0])
+    assert np.allclose(moved(mean)[:2], plain[:2], atol=1e-12)
+    assert moved(mean)[2] == pytest.approx(mean[2] + rate * dt)
+    assert np.allclose(step(tuple(mean[:3]), speed, rate, dt, slip), moved(mean)[:3], atol=1e-12)
+    jacobian = np.stack([(moved(mean + h) - moved(mean - h)) / 2e-6 for h in 1e-6 * np.eye(7)], 1)
+    covariance = random_covariance(5)
+    _, upper = predict(tuple(mean.tolist()), pack(covariance), dt, quiet, slip)
+    assert np.allclose(unpack(upper), jacobian @ covariance @ jacobian.T, rtol=1e-6, atol=1e-6)
+
+
 @given(
     st.integers(0, 10_000), st.sampled_from([(3, 1.02, 5, 9.0), (4, 1.0, 6, 1.0), (3, 1.0, 5, 0)])
 )

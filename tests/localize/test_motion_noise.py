@@ -41,6 +41,25 @@ def test_without_noise_the_front_axle_follows_the_arc() -> None:
     np.testing.assert_allclose(np.cos(moved[:, 2]), np.cos(expected[:, 2]), atol=1e-12)
 
 
+def test_the_rear_axle_slips_outward_as_much_as_each_particle_thinks() -> None:
+    arcs = [Arc(0.1, 8.0, 0.3, 0.0), Arc(0.1, 8.0, 0.3, 0.0)]
+    start = np.tile([3.0, -2.0, 0.4], (2, 1))
+    slips = np.array([0.0, 0.006])
+    moved = sample_motion(start, arcs, 2.7, SILENT, np.random.default_rng(0), slips)
+    assert moved[0, 2] == moved[1, 2]
+    aside = (moved[1] - moved[0])[:2] @ np.array([-np.sin(0.43), np.cos(0.43)])
+    # a left turn at 2.4 m/s^2 carries it to the right: 1.6 m of way by 0.0144 rad
+    assert aside == pytest.approx(-1.6 * 0.006 * 8.0 * 0.3, rel=1e-3)
+    history = OdometryHistory(0.5, slip_rad_per_mps2=0.006)
+    for k in range(3):
+        history.push(OdometrySample(0.1 * k, 0.1 * k, 8.0, 0.3))
+    reckoned = history.dead_reckoning(0.2)
+    rear = moved[1, :2] - 2.7 * np.array([np.cos(moved[1, 2]), np.sin(moved[1, 2])])
+    begin = start[1, :2] - 2.7 * np.array([np.cos(0.4), np.sin(0.4)])
+    assert np.hypot(*reckoned[:2]) == pytest.approx(np.hypot(*(rear - begin)), rel=1e-9)
+    assert reckoned[2] == pytest.approx(moved[1, 2] - 0.4)
+
+
 @pytest.mark.parametrize("pieces", [1, 4])
 def test_spread_per_second_does_not_depend_on_the_length_of_the_arcs(pieces: int) -> None:
     config = LocalizeConfig(alpha5_slip_m_per_sqrt_m=0.02)
