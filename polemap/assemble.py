@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from drivelog.frames import EarthFrame
 from polemap.align import NO_SHIFT, Shift, register
 from polemap.city.tiles import Run, here, merge_tiles
-from polemap.drift import Drift, measure_drift
+from polemap.drift import measure_drift
 from polemap.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.history import COLUMN, OldMap, open_history, write_history
 from polemap.landmark_map import PoleMap, join_maps
@@ -20,6 +20,7 @@ from polemap.mapping_config import MappingConfig
 from polemap.merge import Merged
 from polemap.observe import DriveObservations, join_apart, join_landmarks
 from polemap.passes import PassLandmarks
+from polemap.summary import building_reports, distinct, evidence_columns, weighted
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -90,7 +91,9 @@ def assemble_map(
     merged, seen = merge_tiles(landmarks, apart, ordered, config, floor, run=run, tile_m=tile_m)
     evidences = _all_evidence(ordered, seen, old, merged)
     built = _finish(landmarks, merged, evidences, old, update, config, frame)
-    return replace(built, shifts=shifts, reports=_reports(ordered, shifts, align, merged, drifts))
+    return replace(
+        built, shifts=shifts, reports=building_reports(ordered, shifts, align, merged, drifts)
+    )
 
 
 def align_drives(
@@ -218,12 +221,12 @@ def _finish(
         ids=ids,
         points_m=merged.points_m,
         covariance_m2=merged.covariance_m2,
-        width_m=_weighted(landmarks.width_m, landmarks.observations, merged.owner, n),
-        height_m=_weighted(landmarks.height_m, landmarks.observations, merged.owner, n),
+        width_m=weighted(landmarks.width_m, landmarks.observations, merged.owner, n),
+        height_m=weighted(landmarks.height_m, landmarks.observations, merged.owner, n),
         observations=observations,
-        drives=_distinct(landmarks.drive, merged.owner, n),
+        drives=distinct(landmarks.drive, merged.owner, n),
         existence=stands,
-        extra=_evidence_columns(landmarks, merged.owner, drives, n),
+        extra=evidence_columns(landmarks, merged.owner, drives, n),
     )
     # a pole that is known stays in doubt, a new one has to win it
     keep = solid & np.where(
@@ -261,74 +264,3 @@ def _ids(n: int, heirs: Whole | None, update: PoleMap | None) -> Whole:
     fresh = ids == none
     ids[fresh] = int(update.ids.max()) + 1 + np.arange(np.count_nonzero(fresh))
     return ids
-
-
-def _weighted(values: Floats, observations: Whole, owner: Whole, n: int) -> Floats:
-    """Mean of the finite values of each pole, weighted by observations; NaN without any."""
-    finite = np.isfinite(values)
-    weight = np.bincount(owner[finite], observations[finite], n)
-    total = np.bincount(owner[finite], (values * observations)[finite], n)
-    return np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), np.nan)
-
-
-def _distinct(names: NDArray[np.str_], owner: Whole, n: int) -> Whole:
-    _, code = np.unique(names, return_inverse=True)
-    pairs = np.unique(np.stack([owner, code], axis=1), axis=0)
-    return np.bincount(pairs[:, 0], minlength=n).astype(np.int64)
-
-
-def _evidence_columns(
-    landmarks: PassLandmarks, owner: Whole, drives: list[tuple[str, float, Evidence]], n: int
-) -> dict[str, NDArray[np.generic]]:
-    directions = np.zeros(n, dtype=np.int64)
-    np.bitwise_or.at(directions, owner, landmarks.directions)
-    nearest, farthest = np.full(n, np.inf), np.full(n, -np.inf)
-    np.fmin.at(nearest, owner, landmarks.range_min_m)
-    np.fmax.at(farthest, owner, landmarks.range_max_m)
-    seen = np.sum([counts.seen for _, _, counts in drives], axis=0)
-    looks = np.sum([counts.looks for _, _, counts in drives], axis=0)
-    return {
-        "passes": np.bincount(owner, minlength=n).astype(np.int64),
-        "directions": np.bitwise_count(directions).astype(np.int64),
-        "range_min_m": np.where(np.isfinite(nearest), nearest, np.nan),
-        "range_max_m": np.where(np.isfinite(farthest), farthest, np.nan),
-        "width_sd_m": _weighted(landmarks.width_sd_m, landmarks.observations, owner, n),
-        "height_sd_m": _weighted(landmarks.height_sd_m, landmarks.observations, owner, n),
-        "seen_share": np.where(looks > 0, seen / np.where(looks > 0, looks, 1.0), np.nan),
-    }
-
-
-def _reports(
-    ordered: Sequence[DriveObservations],
-    shifts: dict[str, Shift],
-    align: bool,
-    merged: Merged,
-    drifts: Sequence[Drift] | None,
-) -> tuple[str, ...]:
-    reports = []
-    for name, shift in shifts.items():
-        if shift.significant:
-            what = "was aligned by" if align else "disagrees with the drives before it by"
-            hint = "" if align else "; --align would remove it"
-            reports.append(
-                f"drive {name} {what} {shift.move_m[0]:+.2f} m east, {shift.move_m[1]:+.2f} m "
-                f"north ({shift.matches} poles){hint}"
-            )
-    for part, drift in zip(ordered, drifts or (), strict=False):
-        if drift.size_m > 0.1:
-            reports.append(
-                f"drive {part.sightings.drive}: its reference drifts; its passes were levelled by "
-                f"{drift.size_m:.2f} m (rms), which leaves {np.median(drift.sd_m):.2f} m an axis"
-            )
-    lost = sum(part.sightings.without_pose for part in ordered)
-    if lost:
-        reports.append(f"{lost} scans have no reference pose and were left out")
-    error = merged.reference_error
-    if error.pass_sd_m is not None:
-        reports.append(
-            "beyond the detector's own error, poles differ by "
-            f"{error.pass_sd_m:.3f} m between passes of a drive ({error.pass_pairs} meetings) "
-            f"and by {error.drive_sd_m:.3f} m between drives ({error.drive_pairs})"
-            + ("; --align would level them" if error.drive_sd_m > 0.2 and not align else "")
-        )
-    return tuple(reports)
