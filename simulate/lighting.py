@@ -14,7 +14,9 @@ from simulate.world import World
 
 Floats32 = NDArray[np.float32]
 _MAP_LIMIT_PX = 5000
-_BIAS_M = 0.06
+# how far behind its cell's first surface a point may lie and still be lit: within a cell a surface
+# that the sun grazes runs through a range of distances
+_BIAS_M, _BIAS_CELLS, _LARGEST_BIAS_M = 0.04, 1.2, 0.8
 _CELL_M = 0.07
 _TRANSLUCENT = 0.5
 
@@ -39,8 +41,15 @@ class ShadowMap:
     corner_m: Floats32
     cell_m: float
 
-    def lit(self, points_m: Floats32) -> Floats32:
-        """Share of sunlight `(n,)` that reaches points `(n, 3)`, soft over half a cell."""
+    def lit(self, points_m: Floats32, cosine: Floats32) -> Floats32:
+        """Share of sunlight `(n,)` that reaches points `(n, 3)`, soft over half a cell.
+
+        `cosine` `(n,)` is that of the angle between surface normal and sun, positive.
+        """
+        grazing = np.sqrt(np.maximum(1 - cosine**2, 0)) / cosine
+        bias = np.minimum(
+            _BIAS_M + np.float32(_BIAS_CELLS * self.cell_m) * grazing, np.float32(_LARGEST_BIAS_M)
+        )
         local = np.stack([_dot(points_m, axis) for axis in self.axes])
         place = (local[:2].T - self.corner_m[:2]) / np.float32(self.cell_m) - np.float32(0.5)
         total = np.zeros(len(place), dtype=np.float32)
@@ -51,7 +60,7 @@ class ShadowMap:
         }
         for shift in (-0.3, 0.3):
             first = read_picture(self.distance_m, place + np.float32(shift), **nearest)
-            total += local[2] > first - _BIAS_M
+            total += local[2] > first - bias
         return np.asarray(total * np.float32(0.5))
 
 
@@ -105,7 +114,9 @@ class Lighting:
         if not len(sunny) or self.sun == 0.0:
             return light, sunlight
         points_m[sunny] += 0.02 * normals[sunny]
-        share = 1.0 if self.shadow_map is None else self.shadow_map.lit(points_m[sunny])
+        share: Floats32 | float = 1.0
+        if self.shadow_map is not None:
+            share = self.shadow_map.lit(points_m[sunny], np.abs(_dot(normals[sunny], self.to_sun)))
         sunlight[sunny] = np.float32(self.sun) * cosine[sunny] * share
         return light, sunlight
 

@@ -28,7 +28,7 @@ using Triangles = py::array_t<std::uint32_t, py::array::c_style>;
 constexpr int kLevels = 8;
 constexpr int kTilePx = 512;
 constexpr float kAlbedoStep = 1.0f / 40000.0f;
-constexpr float kShadowBiasM = 0.06f;
+constexpr float kBiasM = 0.04f, kBiasCells = 1.2f, kLargestBiasM = 0.8f;
 constexpr float kTranslucent = 0.5f;
 constexpr std::int32_t kSky = -1;
 
@@ -69,7 +69,9 @@ struct ShadowMap {
   float corner[2], cell_m;
 
   // Share of the sunlight that passes what stands still.
-  float lit(const Vec& p) const {
+  float lit(const Vec& p, float cosine) const {
+    const float grazing = std::sqrt(std::max(1.0f - cosine * cosine, 0.0f)) / cosine;
+    const float bias = std::min(kBiasM + kBiasCells * cell_m * grazing, kLargestBiasM);
     const float x = (dot(p, axes[0]) - corner[0]) / cell_m - 0.5f;
     const float y = (dot(p, axes[1]) - corner[1]) / cell_m - 0.5f;
     const float height = dot(p, axes[2]);
@@ -77,7 +79,8 @@ struct ShadowMap {
     for (const float shift : {-0.3f, 0.3f}) {
       const int column = floor_of(x + shift + 0.5f), row = floor_of(y + shift + 0.5f);
       const bool outside = column < 0 || row < 0 || column >= columns || row >= rows;
-      if (outside || height > distance_m[static_cast<std::ptrdiff_t>(row) * columns + column] - kShadowBiasM) share += 0.5f;
+      const auto cell = static_cast<std::ptrdiff_t>(row) * columns + column;
+      if (outside || height > distance_m[cell] - bias) share += 0.5f;
     }
     return share;
   }
@@ -221,13 +224,14 @@ class Shader {
 
   // Sunlight on a surface; moves the point off its surface, from where shadows are asked for.
   float sun_on(int tile, const Vec& normal, Vec* point) const {
-    float cosine = dot(normal, light_.to_sun);
+    const float facing = dot(normal, light_.to_sun);
+    float cosine = facing;
     if (leafy_.data()[tile] != 0) cosine = std::max(cosine, -kTranslucent * cosine);
     if (cosine <= 0.0f || light_.sun == 0.0f) return 0.0f;
     point->x += 0.02f * normal.x;
     point->y += 0.02f * normal.y;
     point->z += 0.02f * normal.z;
-    const float share = shadow_.distance_m != nullptr ? shadow_.lit(*point) : 1.0f;
+    const float share = shadow_.distance_m != nullptr ? shadow_.lit(*point, std::fabs(facing)) : 1.0f;
     return light_.sun * cosine * share;
   }
 
