@@ -93,7 +93,7 @@ def follow(line: Floats, step_m: float, travelled_m: Floats, step_s: float, car:
             # the model leaves a standing car what it turned with for some milliseconds
             slip = rate = 0.0
         side = v * slip - rear * rate
-        out[i] = (x, y, yaw, v, rate, slip if v > 0.5 else 0.0, steer)
+        out[i] = (x, y, yaw, v, rate, slip, steer)
         cy, sy = cos(yaw), sin(yaw)
         x += step_s * (v * cy - side * sy)
         y += step_s * (v * sy + side * cy)

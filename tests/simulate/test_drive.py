@@ -96,8 +96,11 @@ def test_signals_can_be_estimated_from(
     assert not (out / "frames.csv").exists()
     assert open_drive(out).rig is None
     signals = np.genfromtxt(out / "signals.csv", delimiter=",", names=True)
-    swing = signals["vx_mps"] * signals["yaw_rate_radps"]
-    assert np.allclose(signals["ay_mps2"], swing, atol=1e-4)
+    drift = np.gradient(signals["sideslip_rad"], signals["stamp_s"])
+    swing = signals["vx_mps"] * (signals["yaw_rate_radps"] + drift)
+    # the file has every second step of the motion
+    assert np.abs(signals["ay_mps2"] - swing).max() < 0.1
+    assert np.abs(signals["ay_mps2"] - swing).mean() < 0.003
     assert np.allclose(np.diff(signals["stamp_s"]), 0.01)
 
 
