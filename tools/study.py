@@ -21,7 +21,7 @@ from vehicle.io import load_car
 from vehicle.studies.papers import STUDIES
 from vehicle.studies.study import Study
 
-_TABLE = "{:<54} {:>24} {:>20}  {}"
+_TABLE = "{:<62} {:>24} {:>20}  {}"
 _STYLES = ("k-", "C0-", "C1-", "C2-", "C3-", "C4-", "C5-", "C6-", "C7--", "C8--", "C9--")
 
 

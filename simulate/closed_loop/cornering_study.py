@@ -182,6 +182,7 @@ def cornering_study(
         remarks,
         figures,
         _panels(curves),
+        ("ours", "errata", "the paper says; moment"),
     )
 
 
