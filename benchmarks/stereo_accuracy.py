@@ -1,11 +1,12 @@
 """How right disparities are, on pairs with ground truth.
 
-    python -m benchmarks.stereo_accuracy FOLDER... [--curve] [--calibrate] [--every N]
+    python -m benchmarks.stereo_accuracy FOLDER... [--curve PICTURE.png] [--calibrate] [--every N]
 
 A FOLDER is a KITTI 2015 or 2012 `training` folder (or the one above it) or one with Middlebury
 scenes (teddy, cones: `*02.png`, `*06.png` and `disp*02.png`); without one the rendered poles are
 scored. OpenCV's variants stand beside the census matcher. `--curve` trades density against error
-by the margin of the winner, `--calibrate` prints the tables of stereo/error_model.py.
+by margin, speckle size and uniqueness and draws that, `--calibrate` prints the tables of
+stereo/error_model.py.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.stereo_scenes import PoleScore, rendered_scene, score_poles
+from stereo.checks import without_speckles
 from stereo.config import OpenCvConfig, StereoConfig
 from stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
 from stereo.matching import StereoMatcher, make_matcher
@@ -38,6 +40,26 @@ class Pair:
     right: NDArray[np.uint8]
     truth: NDArray[np.float32]
     kitti: bool
+
+    def non_occluded(self) -> NDArray[np.bool_]:
+        """Where truth is known and the right camera sees the point (KITTI's truth is so already).
+
+        A pixel is hidden if one with a disparity over 1 px larger has the same partner.
+        """
+        known = np.isfinite(self.truth)
+        if self.kitti:
+            return known
+        height, width = self.truth.shape
+        row, column = np.nonzero(known)
+        disparity = self.truth[row, column]
+        partner = np.rint(column - disparity).astype(np.int64)
+        nearest = np.full((height, width), -np.inf)
+        inside = partner >= 0
+        np.maximum.at(nearest, (row[inside], partner[inside]), disparity[inside])
+        seen = inside & (disparity >= nearest[row, np.maximum(partner, 0)] - 1)
+        mask = np.zeros((height, width), dtype=bool)
+        mask[row[seen], column[seen]] = True
+        return mask
 
     def wrong(self, disparity: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Over 3 px and 5 % (KITTI) or over 1 px (Middlebury)."""
@@ -123,15 +145,11 @@ def variants(disparities: int = 128) -> dict[str, StereoConfig]:
     return found
 
 
-def score(matcher: StereoMatcher, pairs: list[Pair]) -> dict[str, float]:
-    """Error and density over all pairs (each valid pixel counts once)."""
+def rate(pairs: list[Pair], maps: list[NDArray[np.float32]]) -> dict[str, float]:
+    """Error and density over all pairs, on non-occluded pixels (each counts once)."""
     wrong = known = valid = 0
-    times = []
-    for pair in pairs:
-        start = time.perf_counter()
-        disparity = matcher.match(pair.left, pair.right).left
-        times.append(1e3 * (time.perf_counter() - start))
-        truth = np.isfinite(pair.truth)
+    for pair, disparity in zip(pairs, maps, strict=True):
+        truth = pair.non_occluded()
         found = truth & np.isfinite(disparity)
         wrong += int((pair.wrong(disparity) & found).sum())
         known += int(found.sum())
@@ -139,8 +157,67 @@ def score(matcher: StereoMatcher, pairs: list[Pair]) -> dict[str, float]:
     return {
         "error_percent": 100 * wrong / max(known, 1),
         "density_percent": 100 * known / max(valid, 1),
-        "median_ms": float(np.median(times)),
     }
+
+
+def score(matcher: StereoMatcher, pairs: list[Pair]) -> dict[str, float]:
+    """`rate` of a matcher's left maps, and its time."""
+    times, maps = [], []
+    for pair in pairs:
+        start = time.perf_counter()
+        maps.append(matcher.match(pair.left, pair.right).left)
+        times.append(1e3 * (time.perf_counter() - start))
+    return {**rate(pairs, maps), "median_ms": float(np.median(times))}
+
+
+SPECKLES_PX = (0, 100, 400, 1500)
+MARGINS = (0, 2, 5, 10, 20, 30, 45, 60, 80)
+UNIQUENESS_PERCENT = (0, 10, 25)
+
+
+def curves(pairs: list[Pair]) -> dict[str, list[tuple[float, float]]]:
+    """`(density, error)` in percent: the census matcher by speckle size and by least margin, and
+    each of OpenCV's variants by uniqueness, without and with the same speckle filter.
+    """
+    found: dict[str, list[tuple[float, float]]] = {}
+
+    def add(name: str, maps: list[NDArray[np.float32]]) -> None:
+        row = rate(pairs, maps)
+        found.setdefault(name, []).append((row["density_percent"], row["error_percent"]))
+
+    def left_maps(config: StereoConfig, **change: int) -> list[NDArray[np.float32]]:
+        matcher = make_matcher(config.model_copy(update=change))
+        return [matcher.match(pair.left, pair.right).left for pair in pairs]
+
+    default = StereoConfig()
+    for name, config in variants().items():
+        for percent in UNIQUENESS_PERCENT if config.matcher == "opencv_sgbm" else ():
+            maps = left_maps(config, uniqueness_percent=percent, speckle_px=0)
+            for size in (0, default.speckle_px):
+                cleaned = [without_speckles(m, size, default.speckle_step_px) for m in maps]
+                add(f"{name}, speckles {size}", cleaned)
+    for size in SPECKLES_PX:
+        add("census by speckle size", left_maps(default, speckle_px=size))
+    found["census by margin"] = curve(make_matcher(default), pairs)
+    return found
+
+
+def draw_curves(found: dict[str, list[tuple[float, float]]], path: Path) -> None:
+    """Density to the right, error upwards."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 6))
+    axes = figure.subplots()
+    for name, points in found.items():
+        ours = name.startswith("census")
+        density, error = zip(*points, strict=True)
+        label = name if ours or "speckles 0" not in name else None
+        colour = "tab:red" if ours else ("tab:blue" if "speckles 0" not in name else "0.75")
+        axes.plot(density, error, "o-" if ours else ".-", color=colour, lw=2 if ours else 0.8)
+        axes.annotate(label or "", points[0], fontsize=6)
+    axes.plot([92, 92, 100], [0, 3.5, 3.5], "k--", lw=0.8)
+    axes.set(xlabel="density [%]", ylabel="error [%]", xlim=(60, 100), ylim=(0, 12))
+    figure.savefig(path, dpi=120)
 
 
 def curve(matcher: StereoMatcher, pairs: list[Pair]) -> list[tuple[float, float]]:
@@ -154,14 +231,14 @@ def curve(matcher: StereoMatcher, pairs: list[Pair]) -> list[tuple[float, float]
         maps = matcher.match(pair.left, pair.right)
         if maps.left_margin is None:
             raise SystemExit(f"{matcher.name} has no margins to draw a curve by")
-        truth = np.isfinite(pair.truth)
+        truth = pair.non_occluded()
         found = truth & np.isfinite(maps.left)
         margins.append(maps.left_margin[found])
         wrongs.append(pair.wrong(maps.left)[found])
         valid += int(truth.sum())
     margin, wrong = np.concatenate(margins), np.concatenate(wrongs)
     rows = []
-    for limit in (0, 5, 10, 20, 30, 45, 60, 80):
+    for limit in MARGINS:
         keep = margin >= limit
         rows.append((100 * keep.sum() / valid, 100 * wrong[keep].mean()))
     return rows
@@ -227,7 +304,7 @@ def run() -> dict[str, dict[str, float]]:
             results[f"{folder} {name}"] = score(make_matcher(config), pairs)
     for name, config in chosen.items():
         small = config.model_copy(update={"disparities": 64})
-        results[f"rendered poles {name}"] = score_rendered(small, range(4))
+        results[f"rendered poles {name}"] = score_rendered(small, range(8))
     return results
 
 
@@ -237,7 +314,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--curve", action="store_true")
+    parser.add_argument("--curve", type=Path, metavar="PICTURE.png")
     parser.add_argument("--calibrate", action="store_true")
     parser.add_argument("--every", type=int, default=1, help="only every Nth pair")
     options = parser.parse_args()
@@ -253,13 +330,18 @@ def main() -> None:
         for name, config in variants().items():
             matcher = make_matcher(config)
             _show(f"{folder.name} {name}", score(matcher, pairs))
-            if options.curve and matcher.name == "census_sgm":
-                for density, error in curve(matcher, pairs):
-                    print(f"    density {density:5.1f} %  error {error:5.2f} %")
+            if name == "census" and len(pairs) > 3:
+                for half in (0, 1):
+                    _show(f"{folder.name} {name}, half {half + 1}", score(matcher, pairs[half::2]))
+        if options.curve is not None:
+            found = curves(pairs)
+            for name, points in found.items():
+                print(name, *(f"{error:.2f}@{density:.1f}" for density, error in points))
+            draw_curves(found, options.curve)
     if options.folders:
         return
     for name, config in variants(64).items():
-        _show(f"poles {name}", score_rendered(config, range(4)))
+        _show(f"poles {name}", score_rendered(config, range(8)))
     default = StereoConfig(disparities=64)
     for change in ({}, {"gain": 0.7}, {"gamma": 1.3}, {"vignetting": 0.4}, {"noise_sd": 4.0}):
         _show(f"poles {change or 'as they are'}", score_rendered(default, range(4), **change))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,3 +69,17 @@ def check_left_right(
         left,
         right,
     )
+
+
+def without_speckles(disparity: Disparity, least_px: int, step_px: float) -> Disparity:
+    """`disparity` without connected components of fewer than `least_px` pixels.
+
+    OpenCV's filter in sixteenths of a pixel, for OpenCV's matchers: the census kernel has its own,
+    which spares what is tall.
+    """
+    if least_px <= 1:
+        return disparity
+    none = -16
+    raw = np.where(np.isfinite(disparity), np.rint(disparity * 16), none).astype(np.int16)
+    cv2.filterSpeckles(raw, none, least_px - 1, round(16 * step_px))
+    return np.where(raw == none, np.float32(np.nan), disparity)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import cast
 
 import cv2
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereo.census import census_planes, partial_ranks, rank_transform
-from stereo.checks import check_left_right, check_pair
+from stereo.checks import check_left_right, check_pair, without_speckles
 from stereo.config import Preprocessing, StereoConfig
 from stereo.matching_types import DisparityPair, Image
 from stereo.rig import StereoRig
@@ -69,7 +70,13 @@ class OpenCvSgbm:
             right_job = pool.submit(self._left_map, *flipped)
             left_map = left_job.result()
             right_map = np.ascontiguousarray(right_job.result()[:, ::-1])
-        return check_left_right(left_map, right_map, self._config.left_right_tolerance_px)
+        pair = check_left_right(left_map, right_map, self._config.left_right_tolerance_px)
+        least, step = self._config.speckle_px, self._config.speckle_step_px
+        return replace(
+            pair,
+            left=without_speckles(pair.left, least, step),
+            right=without_speckles(pair.right, least, step),
+        )
 
     def _left_map(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
         config, settings = self._config, self._config.opencv

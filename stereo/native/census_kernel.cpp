@@ -28,17 +28,21 @@
 
 #define KERNEL_NAMESPACE baseline
 #define KERNEL_TARGET
+#define KERNEL_BYTES 16
 #include "census_kernel_body.hpp"
 #undef KERNEL_NAMESPACE
 #undef KERNEL_TARGET
+#undef KERNEL_BYTES
 
 #if defined(__x86_64__) && defined(__GNUC__)
 #define CENSUS_HAS_X86_VARIANTS 1
 #define KERNEL_NAMESPACE avx2
 #define KERNEL_TARGET __attribute__((target("avx2,bmi,bmi2,lzcnt,popcnt")))
+#define KERNEL_BYTES 32
 #include "census_kernel_body.hpp"
 #undef KERNEL_NAMESPACE
 #undef KERNEL_TARGET
+#undef KERNEL_BYTES
 
 #if defined(__clang__)
 #define CENSUS_WIDE ""
@@ -50,9 +54,11 @@
   __attribute__((target("avx2,bmi,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vl,avx512dq," \
                         "avx512bitalg,avx512vpopcntdq,avx512vbmi" CENSUS_WIDE)))
 #define KERNEL_HAS_BYTE_POPCOUNT 1
+#define KERNEL_BYTES 64
 #include "census_kernel_body.hpp"
 #undef KERNEL_NAMESPACE
 #undef KERNEL_TARGET
+#undef KERNEL_BYTES
 #undef KERNEL_HAS_BYTE_POPCOUNT
 #endif
 
@@ -140,16 +146,16 @@ class Aggregation {
       }
       s.minima.resize(6 * p.pixel_stride());
       s.penalties.resize(3 * p.pixel_stride());
-      s.cost.resize(columns);
+      s.cost.resize(depth * kLanes);
+      s.excess.resize(depth * kLanes);
       s.sums.resize(depth * p.sum_stride() + kLanes);
-      s.winners.resize(3 * (columns + 2 * kLanes));
-      s.strip_planes.resize(6 * columns * kLanes);
-      s.strip_penalty.resize((columns + 1) * kLanes);
-      s.strip_state.resize((2 * (depth + 2) + 2 + depth) * kLanes);
-      s.strip_block.resize(std::max({columns * std::max<std::size_t>(depth, kLanes),
-                                     std::size_t{64} * (depth + 1) * kLanes}));
-      s.strip_first.resize(columns * (depth + 1) * kLanes);
-      s.strip_sum.resize(kLanes * p.volume_stride());
+      s.winners.resize(5 * columns);
+      s.strip_planes.resize(6 * columns * kStripRows);
+      s.strip_penalty.resize((columns + 1) * kStripRows);
+      s.strip_state.resize((depth + 4) * kStripRows);
+      s.strip_block.resize(kStripRows * std::max(columns, kTurned * (depth + 1)));
+      s.strip_first.resize(columns * (depth + 1) * kStripRows);
+      s.strip_sum.resize(kStripRows * p.volume_stride());
     }
   }
 

@@ -20,6 +20,10 @@ using u32 = std::uint32_t;
 
 // Every inner loop runs over this many bytes: one AVX-512 register, two of AVX2, four of SSE2.
 constexpr int kLanes = 64;
+// Horizontal paths run over so many rows at once: few enough that what the first direction leaves
+// for the second stays in the cache.
+constexpr int kStripRows = 32;
+constexpr int kTurned = 32;  // columns that are turned into rows together
 constexpr i16 kNoSum = 0x7FFF;
 
 // The compilers' portable vectors, for the transposition of bytes only: no loop expresses it.
@@ -99,7 +103,8 @@ struct Problem {
   int columns() const { return round_up(width, kLanes); }
   int guard() const { return round_up(disparities + offset, kLanes) + kLanes; }
   int plane_stride() const { return guard() + columns() + kLanes; }
-  int pixel_stride() const { return columns() + 2 * kLanes; }
+  // an odd number of cache lines, so that the rows of a state do not share cache sets
+  int pixel_stride() const { return ((columns() / kLanes + 2) | 1) * kLanes; }
   int sum_stride() const { return columns() + kLanes; }
   // an odd number of cache lines a row, so that rows do not fall into the same cache sets
   std::size_t volume_stride() const {
@@ -125,14 +130,25 @@ struct Scratch {
   Buffer<u8> previous[3], current[3];  // path costs of two rows, (disparities + 2) x pixel_stride
   Buffer<u8> minima;                   // 2 x 3 x pixel_stride
   Buffer<u8> penalties;                // 3 x pixel_stride: P2, then minimum + P2
-  Buffer<u8> cost;                     // one row of matching costs
+  Buffer<u8> cost, excess;             // of one block, disparities x kLanes
   Buffer<i16> sums;                    // disparities x sum_stride
-  Buffer<i16> winners;                 // 3 x (columns + 2 kLanes)
+  Buffer<i16> winners;                 // five rows, see Winners
   Buffer<u8> strip_planes;             // census bytes of a strip, columns by rows
   Buffer<u8> strip_penalty;
   Buffer<u8> strip_state, strip_block;
   Buffer<u8> strip_first;              // left-to-right path of a strip
   Buffer<u8> strip_sum;                // both horizontal paths of a strip, by rows
+};
+
+// Of each pixel of a row: least sum, its disparity index, the sums beside it, the least sum that is
+// no neighbour.
+struct Winners {
+  i16 *best, *at, *below, *above, *second;
+
+  static Winners in(i16* memory, int columns) {
+    return {memory, memory + columns, memory + 2 * columns, memory + 3 * columns,
+            memory + 4 * columns};
+  }
 };
 
 struct Maps {

@@ -18,25 +18,26 @@ class SpeckleFilter {
   void run(float* map, int width, int height, int least_px, int tall_rows, float step_px) {
     if (least_px <= 1) return;
     components_.clear();
+    components_.push_back({0, 0, 0, 0});  // what has no disparity
     labels_.resize(static_cast<std::size_t>(width) * height);
     left_.resize(round_up(width, kLanes));
     above_.resize(round_up(width, kLanes));
     for (int y = 0; y < height; ++y) label_row(map, width, y, step_px);
-    for (Component& component : components_) {
-      const Component& root = components_[find(static_cast<std::uint32_t>(&component - &components_[0]))];
-      component.keep = root.size >= least_px || root.last_row - root.first_row + 1 >= tall_rows;
+    keep_.assign(components_.size(), 1);
+    for (std::uint32_t label = 1; label < components_.size(); ++label) {
+      const Component& root = components_[find(label)];
+      keep_[label] = root.size >= least_px || root.last_row - root.first_row + 1 >= tall_rows;
     }
     const std::size_t size = static_cast<std::size_t>(width) * height;
     const std::uint32_t* labels = labels_.get();
-    for (std::size_t i = 0; i < size; ++i)
-      if (map[i] == map[i] && !components_[labels[i]].keep) map[i] = __builtin_nanf("");
+    const float gone = __builtin_nanf("");
+    for (std::size_t i = 0; i < size; ++i) map[i] = keep_[labels[i]] != 0 ? map[i] : gone;
   }
 
  private:
   struct Component {
     std::uint32_t parent;
     int size, first_row, last_row;
-    bool keep;
   };
 
   std::uint32_t find(std::uint32_t label) {
@@ -72,10 +73,11 @@ class SpeckleFilter {
     std::uint32_t label = 0, joined = 0;
     bool fresh = true;  // nothing of the row above joined to this run yet
     for (int x = 0; x < width; ++x) {
+      labels[x] = 0;
       if (row[x] != row[x]) continue;
       if (!left[x]) {
         label = static_cast<std::uint32_t>(components_.size());
-        components_.push_back({label, 0, y, y, false});
+        components_.push_back({label, 0, y, y});
         fresh = true;
       }
       labels[x] = label;
@@ -92,6 +94,7 @@ class SpeckleFilter {
   }
 
   std::vector<Component> components_;
+  std::vector<u8> keep_;
   std::vector<std::array<std::uint32_t, 2>> pending_;
   Buffer<std::uint32_t> labels_;
   Buffer<u8> left_, above_;
