@@ -1,0 +1,118 @@
+"""What the eye sees of simulated streets, held against the truth.
+
+    python -m benchmarks.seen_poles [SEEDS] [SECONDS] [WORLD ...]
+
+Per pole: poles that the disparity showed in three frames or more, and the tracks, within 25 m of
+the camera. NEES: squared error of a confirmed track over its covariance, per degree of freedom,
+averaged over the drive; a drive has few poles, so look at the rows, too. The drives are not those
+on which the classifier was trained. Not timed, so `python -m benchmarks` leaves it out.
+"""
+
+from __future__ import annotations
+
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivelog.frames import EarthFrame
+from drivelog.samples import StereoFrame
+from polemap.config import PolemapConfig
+from polemap.evaluation import FrameRecord, match, record, score_frames, score_tracks
+from polemap.perception import PolePerception
+from simulate import sensors
+from simulate.config import SimulateConfig
+from simulate.drive import Studio, make_plan
+from simulate.scenario import load_scenario
+from simulate.truth import true_map
+from simulate.world import make_world
+from vehicle.pose import Pose2D
+
+Floats = NDArray[np.float64]
+
+WORLDS = ("suburb", "avenue", "boulevard")
+RATE_HZ = 10.0
+BEGIN_S = 4.0  # the car has set off by then
+RANGE_M = (5.0, 25.0)
+FIRST_SEED = 500
+
+
+def judge(job: tuple[str, int, float]) -> dict[str, float]:
+    """Figures of one drive through one world."""
+    name, seed, seconds = job
+    cv2.setNumThreads(1)
+    tree = SimulateConfig().model_dump()
+    tree["camera"]["frame_rate_hz"] = RATE_HZ
+    config = SimulateConfig.model_validate(tree)
+    scenario = load_scenario(name)
+    world = make_world(scenario, seed)
+    plan = make_plan(world.route, world.scenario, 1, seed, config)
+    studio = Studio(plan, world, 1)
+    truth = true_map(world, EarthFrame("local", name=name), np.zeros(2))
+    settings = PolemapConfig()
+    perception = PolePerception(studio.renderer.rig, settings)
+    odometry = sensors.odometry(plan.motion, config.odometry, np.random.default_rng([seed, 22]))
+    rows = iter(range(len(odometry)))
+    row = next(rows)
+    records: list[FrameRecord] = []
+    nees: list[float] = []
+    for number, stamp in enumerate(plan.frame_stamps_s):
+        if not BEGIN_S <= stamp < BEGIN_S + seconds:
+            continue
+        while odometry.stamp_s[row] <= stamp:
+            perception.push_odometry(odometry.sample(row))
+            row = next(rows)
+        shot = studio.shot(number)
+        look = perception.look(StereoFrame(stamp, stamp, number, shot.left, shot.right))
+        pose = plan.motion.at(np.array([stamp]))[0]
+        records.append(record(look, pose, truth, studio.renderer.rig, settings.detection))
+        sure = look.tracks.confirmed & (look.tracks.detection >= 0)
+        points, covariance = look.tracks.points_vehicle_m[sure], look.tracks.covariance_m2[sure]
+        near = truth.within(pose[:2], 40.0)
+        real = Pose2D(*pose.tolist()).inverse().transform(truth.points_m[near])
+        for one, two in zip(*match(real, points, 1.0), strict=True):
+            error = points[two] - real[one]
+            nees.append(float(error @ np.linalg.solve(covariance[two], error)) / 2.0)
+    poles = score_tracks(records, truth, RANGE_M).figures()
+    (frames,) = score_frames(records, truth, [RANGE_M])
+    return {
+        "poles": poles["shown"],
+        "recall": poles["recall"],
+        "tracks": poles["claims"],
+        "precision": poles["precision"],
+        "frame_recall": frames.figures()["recall"],
+        "frame_precision": frames.figures()["precision"],
+        "across_m": poles["across_median_m"],
+        "along_m": poles["along_median_m"],
+        "along_bias_m": poles["along_bias_m"],
+        "nees": float(np.mean(nees)) if nees else float("nan"),
+    }
+
+
+def main(words: list[str]) -> None:
+    """Print a row a drive and the means of every world."""
+    seeds = int(words[0]) if words else 5
+    seconds = float(words[1]) if len(words) > 1 else 10.0
+    worlds = words[2:] or list(WORLDS)
+    jobs = [(name, FIRST_SEED + k, seconds) for name in worlds for k in range(seeds)]
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        results = list(pool.map(judge, jobs))
+    print("world | seed | " + " | ".join(results[0]))
+    for (name, seed, _), result in zip(jobs, results, strict=True):
+        print(f"{name} | {seed} | " + " | ".join(f"{v:.2f}" for v in result.values()))
+    for name in worlds:
+        mine = [r for (world, _, _), r in zip(jobs, results, strict=True) if world == name]
+        table = np.array([list(r.values()) for r in mine])
+        weight = {"recall": table[:, 0], "precision": table[:, 2]}
+        means = [
+            np.average(np.nan_to_num(column), weights=weight.get(key))
+            for key, column in zip(mine[0], table.T, strict=True)
+        ]
+        print(f"{name} | mean | " + " | ".join(f"{v:.2f}" for v in means))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
