@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivelog.samples import VisibleRegion
 from polemap.config import DetectionConfig
 from polemap.ground import Ground
 from stereo.depth_edges import UprightMaps
 from stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
 
 _BINS = 64
 _COLUMNS = 4  # a bin
@@ -30,9 +33,7 @@ def visible_region(
     """
     height, width = maps.left.shape
     mount = rig.vehicle_from_camera
-    # a column maps to a bearing by the mounting; right is negative
-    edge_px = np.array([width - 1 - _BORDER_PX, _BORDER_PX])
-    bearing = mount.yaw_rad - np.arctan((edge_px - rig.cx_px) / rig.focal_px)
+    bearing = _bearings(rig, width)
     centres = bearing[0] + (np.arange(_BINS * _COLUMNS) + 0.5) / (_BINS * _COLUMNS) * (
         bearing[1] - bearing[0]
     )
@@ -51,10 +52,31 @@ def visible_region(
     middle = centres.reshape(_BINS, _COLUMNS).mean(axis=1) - mount.yaw_rad
     margin = _MARGIN_M + config.disparity_sd_px * forward**2 / (rig.focal_px * rig.baseline_m)
     free = np.minimum(forward / np.cos(middle) + margin, config.range_max_m)
+    return _region(rig, bearing, free, config)
+
+
+def camera_sector(rig: StereoRig, config: DetectionConfig) -> VisibleRegion:
+    """The sector in which the left view shows poles while nothing stands before them."""
+    bearing = _bearings(rig, rig.width_px)
+    return _region(rig, bearing, np.array([config.range_max_m]), config)
+
+
+def _bearings(rig: StereoRig, width_px: int) -> Floats:
+    """Right and left edge of the view, `(2,)`; right is negative."""
+    edge_px = np.array([width_px - 1 - _BORDER_PX, _BORDER_PX])
+    return np.asarray(
+        rig.vehicle_from_camera.yaw_rad - np.arctan((edge_px - rig.cx_px) / rig.focal_px)
+    )
+
+
+def _region(
+    rig: StereoRig, bearing: Floats, free_m: Floats, config: DetectionConfig
+) -> VisibleRegion:
+    mount = rig.vehicle_from_camera
     return VisibleRegion(
         origin_vehicle_m=np.array([mount.x_m, mount.y_m]),
         bearing_min_rad=float(bearing[0]),
         bearing_max_rad=float(bearing[1]),
         range_min_m=config.range_min_m,
-        free_range_m=free,
+        free_range_m=free_m,
     )

@@ -126,7 +126,7 @@ def command(
     if folder.is_dir():
         clear(folder)
     if picture is not None or layer is not None:
-        routes = [route_localizability(built.pole_map, drive) for drive in opened]
+        routes = [route_localizability(built.pole_map, drive, settings) for drive in opened]
         if layer is not None:
             write_localizability(routes, built.pole_map.frame, layer)
         if picture is not None:

@@ -13,14 +13,13 @@ from drivelog.atomic import atomic_file
 from drivelog.drive import Drive
 from drivelog.errors import InputError
 from drivelog.frames import EarthFrame, geographic_from_grid
-from drivelog.samples import VisibleRegion
 from polemap.landmark_map import PoleMap
-from polemap.localizability import Localizability, localizability
+from polemap.localizability import Localizability, drive_sensor, localizability
+from tools.settings import Settings
 
 Floats = NDArray[np.float64]
 
 _STEP_M = 2.0
-_CAMERA_RANGE_M = 25.0
 _WORST_M = 1.0
 _CELL_M = 50.0
 # a slim bar beside the map
@@ -37,7 +36,7 @@ def check_picture(path: Path | None) -> None:
         raise InputError(f"{path}: a picture ends in .png, .svg or .pdf")
 
 
-def route_localizability(pole_map: PoleMap, drive: Drive) -> Localizability:
+def route_localizability(pole_map: PoleMap, drive: Drive, settings: Settings) -> Localizability:
     """Bounds every two metres along a drive's reference.
 
     Raises:
@@ -45,28 +44,13 @@ def route_localizability(pole_map: PoleMap, drive: Drive) -> Localizability:
     """
     if drive.reference is None or not len(drive.reference):
         raise InputError(f"drive {drive.name}: it has no reference, so its route is not known")
-    poses = drive.reference.poses
-    length = np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))]
-    )
-    _, rows = np.unique(np.floor(length / _STEP_M), return_index=True)
-    return localizability(pole_map, poses[rows], _view(drive), rig=drive.rig)
-
-
-def _view(drive: Drive) -> VisibleRegion:
-    if drive.rig is not None:
-        rig, mount = drive.rig, drive.rig.vehicle_from_camera
-        left = float(np.arctan2(rig.cx_px, rig.focal_px)) + mount.yaw_rad
-        right = float(np.arctan2(rig.width_px - rig.cx_px, rig.focal_px)) - mount.yaw_rad
-        origin = np.array([mount.x_m, mount.y_m])
-        return VisibleRegion(origin, -right, left, 3.0, np.array([_CAMERA_RANGE_M]))
-    view = drive.scans[0].view if drive.scans else None
-    if view is None:
+    sensor = drive_sensor(drive, settings.polemap.detection, settings.localize.p_detection)
+    if sensor is None:
         raise InputError(
             f"drive {drive.name}: what its detector sees is not known; add pole_detector to "
             "drive.yaml"
         )
-    return view
+    return localizability(pole_map, drive.reference.poses, sensor, step_m=_STEP_M)
 
 
 def write_localizability(parts: list[Localizability], frame: EarthFrame, path: Path) -> None:

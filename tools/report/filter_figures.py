@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from tools.report.localizability import DEFAULT_CAMERA, route_bound
 from tools.report.results import RouteResult, SystemResult
+from tools.report.route_bound import PRIOR_SD, route_bound
 from tools.report.run_tables import STAGE_NAMES, runs_of
 from tools.report.style import (
     COLOURS,
@@ -198,7 +198,7 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
     found = route_bound(result)
     if found is None:
         return None
-    bound, sensor, own = found
+    bound = found.bound
     with drawing(8.0, 3.6) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
         for name, values, colour in (
@@ -211,19 +211,19 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
         upper.yaxis.set_minor_formatter(NullFormatter())
         upper.legend(fontsize=8, ncols=2)
         tidy(upper, "", "sd [m]")
-        lower.plot(bound.distance_m, bound.in_view, color=COLOURS["pole"], drawstyle="steps-mid")
-        lower.set_ylim(bottom=0)
-        tidy(lower, "distance driven [m]", "poles in view")
-        camera = (
-            "the drive's camera" if own else "a camera of {} px and {} m".format(*DEFAULT_CAMERA)
+        lower.plot(
+            bound.distance_m, bound.poles_in_view, color=COLOURS["pole"], drawstyle="steps-mid"
         )
+        lower.set_ylim(bottom=0)
+        tidy(lower, "distance driven [m]", "poles expected")
         return finish(
             figure,
             key,
             "Localizability",
             f"Position standard deviation that one look at the mapped poles allows (Cramér–Rao "
-            f"bound, error model of {camera}, {sensor.range_m:.0f} m of view); a filter gathers "
-            "many looks.",
+            f"bound, errors of {found.errors_of}, {found.range_m:.0f} m of view, heading known to "
+            f"{PRIOR_SD[1]} rad before); a filter gathers many looks. Poles expected: sightings, "
+            "with the probabilities that a mapped pole stands and is seen.",
         )
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString
 
 from tools.report.figures import drawn_systems, near_points, system_label
-from tools.report.localizability import STEP_M, route_bound
 from tools.report.results import RouteResult
+from tools.report.route_bound import STEP_M, route_bound
 
 Floats = NDArray[np.float64]
 
@@ -77,10 +77,9 @@ def _bound_layers(result: RouteResult, origin: Floats) -> list[Layer]:
     found = route_bound(result)
     if found is None:
         return []
-    bound, _, _ = found
-    points = bound.points_m - origin
+    points = found.bound.poses[:, :2] - origin
     ahead = np.vstack([points[1:], points[-1:]])
-    level = np.digitize(bound.lateral_sd_m, BOUND_LIMITS_M)
+    level = np.digitize(found.bound.lateral_sd_m, BOUND_LIMITS_M)
     near, far = BOUND_LIMITS_M
     names = (f"one look: lateral sd below {near} m", f"{near} – {far} m", f"above {far} m")
     layers = []
