@@ -1,7 +1,8 @@
 """The recent odometry: exact arcs between any two moments, and dead reckoning.
 
 Scans and fixes arrive late and between odometry samples, so the samples are kept for a while and
-integrated from any stamp to any other.
+integrated from any stamp to any other. Through a hole the last rates hold on, and the arcs say how
+much of them is blind. (`polemap.odometry_window` serves the tracker, which stops at a hole.)
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivelog.samples import OdometrySample
+from vehicle.motion import sinc
 
 Floats = NDArray[np.float64]
 _KEEP_S = 90.0
@@ -164,7 +166,7 @@ class OdometryHistory:
         distance = 0.5 * (self._speeds[i] + speed) * dt
         turn = 0.5 * (self._yaw_rates[i] + yaw_rate) * dt
         heading = self._yaw[i] + 0.5 * turn + self._slip(speed, yaw_rate)
-        chord = distance * float(np.sinc(0.5 * turn / np.pi))
+        chord = distance * float(sinc(0.5 * turn))
         return np.array(
             [
                 self._x[i] + chord * cos(heading),

@@ -15,7 +15,7 @@ from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
 from polemap.detection import FrameView, detect
 from polemap.models.io import read_classifier
-from polemap.odometry_history import OdometryHistory
+from polemap.odometry_window import OdometryWindow
 from polemap.tracking import PoleTracker, Sighting, Tracks
 from stereo.config import StereoConfig
 from stereo.matching import DisparityPair, StereoMatcher, make_matcher
@@ -60,7 +60,7 @@ class PolePerception:
             classifier,
         )
         self._tracker = PoleTracker(config.tracking)
-        self._odometry = OdometryHistory(gap_max_s=config.tracking.gap_max_s)
+        self._odometry = OdometryWindow(gap_max_s=config.tracking.gap_max_s)
         self._stamp_s: float | None = None
 
     def push_odometry(self, sample: OdometrySample) -> None:

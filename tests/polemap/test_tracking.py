@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from drivelog.samples import OdometrySample, VisibleRegion
 from polemap.config import TrackingConfig
-from polemap.odometry_history import OdometryHistory
+from polemap.odometry_window import OdometryWindow
 from polemap.tracking import Motion, PoleTracker, Sighting
 from vehicle.pose import Pose2D
 
@@ -187,8 +187,8 @@ def test_width_and_height_are_averaged_and_unknown_ones_skipped() -> None:
     assert np.isnan(tracker.tracks.height_m[0])
 
 
-def _odometry(stamps: Floats, speed: float, rate: float) -> OdometryHistory:
-    history = OdometryHistory()
+def _odometry(stamps: Floats, speed: float, rate: float) -> OdometryWindow:
+    history = OdometryWindow()
     for stamp in stamps:
         history.push(OdometrySample(float(stamp), float(stamp), speed, rate))
     return history
@@ -210,7 +210,7 @@ def test_odometry_with_a_hole_or_running_back_says_nothing() -> None:
     assert history.between(0.5, 4.5) is None
     assert history.between(0.8, 0.5) is None
     assert history.between(4.2, 4.4) is not None
-    assert OdometryHistory().between(0.0, 0.1) is None
+    assert OdometryWindow().between(0.0, 0.1) is None
 
 
 def test_late_doubled_and_broken_odometry_finds_its_place() -> None:

@@ -1,4 +1,9 @@
-"""The odometry of the last seconds, and how the vehicle moved between two moments in it."""
+"""The odometry of the last seconds, and how the vehicle moved from one frame to the next.
+
+Tracks would rather be dropped than moved by a guess, so a hole in the odometry is told, and samples
+that come late still count. A localizer's dead reckoning, which goes on through holes, is another
+matter.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,7 @@ from polemap.tracking import Motion
 from vehicle.motion import move_along_arc
 
 
-class OdometryHistory:
+class OdometryWindow:
     """Keeps samples sorted by stamp; late and doubled ones find their place."""
 
     def __init__(self, keep_s: float = 10.0, gap_max_s: float = 1.0) -> None:
