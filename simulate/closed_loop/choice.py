@@ -10,6 +10,8 @@ from vehicle.parameters import Car
 from vehicle.studies.papers import GPS_NOISE, MISMATCH
 
 LATE = (CAMERA, GPS)
+TRUTH, NONE = "true state", "no control"
+"""What closes a loop, or leaves it open, where no estimator does."""
 _ANY = Car("any", "names of fields", 1000.0, 1000.0, 1.0, 1.0, 50_000.0, 50_000.0)
 
 COURSE_NOISE = GPS_NOISE.model_copy(update={"gps_slots": 4})
@@ -41,6 +43,15 @@ def kinds_for(name: str, there: tuple[str, ...]) -> tuple[str, ...] | None:
 def fresh(name: str, car: Car, config: EstimatorConfig) -> Estimator:
     """A new estimator by name, before its first step."""
     return make_estimator(name, car, config)
+
+
+def behind(
+    name: str, car: Car, config: EstimatorConfig, there: tuple[str, ...]
+) -> tuple[Estimator | None, tuple[str, ...]]:
+    """What a controller sees through, and its late sensors of `there`; TRUTH and NONE need none."""
+    if name in (TRUTH, NONE):
+        return None, ()
+    return fresh(name, car, config), kinds_for(name, there) or ()
 
 
 def choose(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulate.closed_loop.cars import plant_of, with_stiffness
-from simulate.closed_loop.choice import REJECTING_NOISE, choose, fresh, kinds_for
+from simulate.closed_loop.choice import NONE, REJECTING_NOISE, TRUTH, behind, choose
 from simulate.closed_loop.cornering import (
     Corner,
     CornerSettings,
@@ -20,7 +20,7 @@ from vehicle.control.lateral_stability import LateralLimits
 from vehicle.estimators.base import GPS, Estimate
 from vehicle.parameters import Car
 from vehicle.studies.papers import GPS_STIFFNESS_NPRAD, KMH
-from vehicle.studies.study import Curve, Line, Panel, Report, Study
+from vehicle.studies.study import Curve, Line, Panel, Report, Study, curves_of
 
 NAME = "N13-cornering"
 SPEED_MPS, DURATION_S = 20 * KMH, 8.5
@@ -32,7 +32,6 @@ PAPER = {
     "two_layer_reconstructed": ("", "tracks the reference (Fig. 16)"),
 }
 """What errata gives and what the paper claims."""
-TRUTH, NONE = "true state", "no control"
 DEFAULT = (
     "bicycle",
     "linear_observer",
@@ -59,7 +58,7 @@ class Case:
         model = with_stiffness(self.car, nominal)
         limits = LateralLimits(0.35, yaw_moment_limit_nm(self.car))
         loop = StabilityLoop(model, settings or CornerSettings(), limits)
-        estimated = name not in (TRUTH, NONE)
+        estimator, late = behind(name, model, REJECTING_NOISE, (GPS,))
         return run_lateral(
             plant_of(with_stiffness(self.car, real)),
             SPEED_MPS,
@@ -69,8 +68,8 @@ class Case:
             rng=np.random.default_rng(seed),
             friction=lambda _east, _north: self.friction,
             sensors=SensorModel(gps_period_s=GPS_PERIOD_S),
-            estimator=fresh(name, model, REJECTING_NOISE) if estimated else None,
-            late=(kinds_for(name, (GPS,)) or ()) if estimated else (),
+            estimator=estimator,
+            late=late,
             hold_s=hold_s,
         )
 
@@ -88,12 +87,7 @@ class _Watched:
         return Command(driver_rad, 0.0, False, *aim[3:])
 
 
-def cornering_study(
-    car: Car,
-    seeds: int = 3,
-    report: Report = lambda _n: None,
-    estimators: tuple[str, ...] = (),
-) -> Study:
+def cornering_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]) -> Study:
     """0.1 rad of steering held; 7000 real against 10 000 nominal N/rad; GPS at 20 Hz, 100 ms late.
 
     Raises:
@@ -103,7 +97,8 @@ def cornering_study(
     dry = Case(car, Corner(), 0.9)
     settled, begin = dry.corner.settled_s, dry.corner.begin_s
     lines: list[Line] = []
-    figures: dict[str, float] = {"moment_limit_nm": yaw_moment_limit_nm(car)}
+    limit_nm = yaw_moment_limit_nm(car)
+    figures = {"moment_limit_nm": limit_nm}
     curves: dict[str, LateralRun] = {}
 
     def several(
@@ -156,7 +151,7 @@ def cornering_study(
                 f"{name}: rejected / unrejected; whole corner",
                 f"{ratio:.3f}; {figures[f'{key}_whole_ratio']:.2f}",
                 "0.04" if errata else "",
-                f"|Nz| up to {peak:.1f} N m (limit 372.7), {100 * sat:.1f} % saturated",
+                f"|Nz| up to {peak:.1f} N m (limit {limit_nm:.1f}), {100 * sat:.1f} % saturated",
             ),
         ]
         curves[name] = done[0]
@@ -181,7 +176,7 @@ def cornering_study(
         (),
         remarks,
         figures,
-        _panels(curves),
+        _panels(curves, limit_nm),
         ("ours", "errata", "the paper says; moment"),
     )
 
@@ -204,17 +199,13 @@ def _ice(ice: Case, name: str, seeds: int, figures: dict[str, float]) -> list[Li
     return lines
 
 
-def _panels(runs: dict[str, LateralRun]) -> tuple[Panel, ...]:
+def _panels(runs: dict[str, LateralRun], limit_nm: float) -> tuple[Panel, ...]:
     first = next(iter(runs.values()))
-
-    def curves(field: str, scale: float = 1.0) -> tuple[Curve, ...]:
-        return tuple(Curve(n, r.stamp_s, scale * getattr(r, field)) for n, r in runs.items())
-
     degrees = 180.0 / np.pi
     wanted = Curve("reference", first.stamp_s, degrees * first.sideslip_reference_rad)
     turn = Curve("reference", first.stamp_s, degrees * first.yaw_rate_reference_radps)
     return (
-        Panel("side-slip, degrees", (wanted, *curves("sideslip_rad", degrees))),
-        Panel("yaw rate, degrees/s", (turn, *curves("yaw_rate_radps", degrees))),
-        Panel("yaw moment, N m", curves("yaw_moment_nm"), (-372.7, 372.7)),
+        Panel("side-slip, degrees", (wanted, *curves_of(runs, "sideslip_rad", degrees))),
+        Panel("yaw rate, degrees/s", (turn, *curves_of(runs, "yaw_rate_radps", degrees))),
+        Panel("yaw moment, N m", curves_of(runs, "yaw_moment_nm"), (-limit_nm, limit_nm)),
     )

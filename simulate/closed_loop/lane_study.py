@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 
 from simulate.closed_loop.cars import plant_of
-from simulate.closed_loop.choice import CAMERA_NOISE, choose, fresh, kinds_for
+from simulate.closed_loop.choice import CAMERA_NOISE, NONE, TRUTH, behind, choose
 from simulate.closed_loop.cornering import yaw_moment_limit_nm
 from simulate.closed_loop.lane_change import BodySlipLoop, LaneChange
 from simulate.closed_loop.lateral import LateralRun, run_lateral
@@ -18,14 +18,13 @@ from vehicle.estimators.base import CAMERA, GPS
 from vehicle.parameters import Car
 from vehicle.single_track import lateral
 from vehicle.studies.papers import KMH
-from vehicle.studies.study import Curve, Line, Panel, Report, Study
+from vehicle.studies.study import Line, Panel, Report, Study, curves_of
 
 NAME = "W14-lane-change"
 SPEED_MPS, DURATION_S = 25 * KMH, 6.0
 STIFFER = 1.2
 MARGIN_DB = 18.0
 POLE_RADPS = 2.0 * pi
-TRUTH, NONE = "true state", "no control"
 DEFAULT = (
     "bicycle",
     "single_rate",
@@ -40,7 +39,7 @@ DEFAULT = (
 def run_lane(
     car: Car, name: str, gains: PiGains | None, seed: int, hold_s: float, driver: LaneChange
 ) -> LateralRun:
-    estimated = name not in (TRUTH, NONE)
+    estimator, late = behind(name, car, CAMERA_NOISE, (CAMERA, GPS))
     limit = yaw_moment_limit_nm(car)
     return run_lateral(
         plant_of(car.scaled(stiffness=STIFFER)),
@@ -50,25 +49,20 @@ def run_lane(
         None if gains is None else BodySlipLoop(car, SPEED_MPS, gains, limit),
         rng=np.random.default_rng(seed),
         sensors=SensorModel(preview_m=car.preview_m),
-        estimator=fresh(name, car, CAMERA_NOISE) if estimated else None,
-        late=(kinds_for(name, (CAMERA, GPS)) or ()) if estimated else (),
+        estimator=estimator,
+        late=late,
         hold_s=hold_s,
     )
 
 
-def lane_study(
-    car: Car,
-    seeds: int = 3,
-    report: Report = lambda _n: None,
-    estimators: tuple[str, ...] = (),
-) -> Study:
+def lane_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]) -> Study:
     """One sine of 0.1 rad in 2 s before a straight lane; real stiffness 1.2 times the nominal.
 
     Raises:
         ConfigError: an estimator without side-slip.
     """
     names = choose(NAME, estimators, DEFAULT, (CAMERA, GPS), "sideslip_rad")
-    driver = LaneChange()
+    driver, limit_nm = LaneChange(), yaw_moment_limit_nm(car)
     a, b = lateral(car, SPEED_MPS)
     designed = place_pi(a, b, POLE_RADPS)
     lag = plant_of(car).torque_lag_s
@@ -133,7 +127,8 @@ def lane_study(
             "tracks better" if name == "compensated" else "",
         )
     remarks = (
-        "Columns: rms and largest side-slip; largest |Nz| (limit 372.7 N m), share of time at it.",
+        "Columns: rms and largest side-slip; largest |Nz| "
+        f"(limit {limit_nm:.1f} N m), share of time at it.",
         "Same gain: two closed-loop poles at -1 Hz. Same margin: gain raised until 18 dB are left "
         "with motors of 5 ms; W14 compares so. Less margin only drives the motors by noise.",
         "Single rate: controller and command once a camera frame, whatever the estimator; "
@@ -160,18 +155,15 @@ def lane_study(
         (),
         remarks,
         figures,
-        _panels(picked),
+        _panels(picked, limit_nm),
         ("rms, peak", "moment", "the paper says"),
     )
 
 
-def _panels(runs: dict[str, LateralRun]) -> tuple[Panel, ...]:
-    def curves(field: str, scale: float = 1.0) -> tuple[Curve, ...]:
-        return tuple(Curve(n, r.stamp_s, scale * getattr(r, field)) for n, r in runs.items())
-
+def _panels(runs: dict[str, LateralRun], limit_nm: float) -> tuple[Panel, ...]:
     degrees = 180.0 / np.pi
     return (
-        Panel("steering, degrees", curves("steer_rad", degrees)[:1]),
-        Panel("side-slip, degrees", curves("sideslip_rad", degrees)),
-        Panel("yaw moment, N m", curves("yaw_moment_nm"), (-372.7, 372.7)),
+        Panel("steering, degrees", curves_of(runs, "steer_rad", degrees)[:1]),
+        Panel("side-slip, degrees", curves_of(runs, "sideslip_rad", degrees)),
+        Panel("yaw moment, N m", curves_of(runs, "yaw_moment_nm"), (-limit_nm, limit_nm)),
     )

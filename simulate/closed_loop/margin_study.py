@@ -30,12 +30,7 @@ TRIPLE_RADPS = 2.0 * pi * 2.0
 DEFAULT = ("single_rate", "clones", "compensated", "uneven_delay")
 
 
-def margin_study(
-    car: Car,
-    seeds: int = 1,
-    report: Report = lambda _n: None,
-    estimators: tuple[str, ...] = (),
-) -> Study:
+def margin_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]) -> Study:
     """PI on the side-slip at 25 km/h, two closed-loop poles at -1 Hz; nothing in it is random.
 
     Raises:

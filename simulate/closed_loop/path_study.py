@@ -16,7 +16,7 @@ from simulate.closed_loop.path_following import (
 )
 from vehicle.parameters import Car
 from vehicle.studies.papers import KMH
-from vehicle.studies.study import Curve, Line, Panel, Report, Study
+from vehicle.studies.study import Line, Panel, Report, Study, curves_of
 
 NAME = "path-following"
 SPEEDS_KMH = (30, 50)
@@ -35,12 +35,7 @@ CASES: tuple[tuple[Source, float], ...] = (
 )
 
 
-def path_study(
-    car: Car,
-    seeds: int = 3,
-    report: Report = lambda _n: None,
-    estimators: tuple[str, ...] = (),
-) -> Study:
+def path_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]) -> Study:
     """A winding road with poles at 30 and 50 km/h, steered by Stanley's law at 100 Hz.
 
     Raises:
@@ -130,8 +125,8 @@ def _line(label: str, key: str, runs: list[FollowRun], figures: dict[str, float]
 def _panels(shown: dict[int, dict[str, FollowRun]]) -> tuple[Panel, ...]:
     panels = []
     for kmh, runs in shown.items():
-        curves = tuple(Curve(n, r.stamp_s, r.lateral_m) for n, r in runs.items())
+        curves = curves_of(runs, "lateral_m")
         panels.append(Panel(f"lateral error at {kmh} km/h, m", curves, (-0.15, 0.15)))
-        turns = tuple(Curve(n, r.stamp_s, np.degrees(r.steer_rad)) for n, r in runs.items())
+        turns = curves_of(runs, "steer_rad", 180.0 / np.pi)
         panels.append(Panel(f"steering at {kmh} km/h, degrees", turns))
     return tuple(panels)

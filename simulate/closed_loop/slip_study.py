@@ -36,12 +36,7 @@ FULL_TORQUE_NM = 100.0
 DEFAULT = ("kinematic", "two_layer", "two_layer_reconstructed", "two_layer_ignored")
 
 
-def slip_study(
-    car: Car,
-    seeds: int = 3,
-    report: Report = lambda _n: None,
-    estimators: tuple[str, ...] = (),
-) -> Study:
+def slip_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]) -> Study:
     """Wet sheet of friction 0.15 after a road of 0.8, 70 N m at each rear wheel.
 
     Raises:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,11 @@ class Curve:
     label: str
     stamp_s: Floats
     value: Floats
+
+
+def curves_of(runs: Mapping[str, Any], field: str, scale: float = 1.0) -> tuple[Curve, ...]:
+    """A field of several runs as curves, times `scale`; a run has its own `stamp_s`."""
+    return tuple(Curve(n, run.stamp_s, scale * getattr(run, field)) for n, run in runs.items())
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,9 @@ from math import pi
 import numpy as np
 import pytest
 
+from simulate.closed_loop.choice import NONE, TRUTH
 from simulate.closed_loop.cornering import Corner, CornerSettings, yaw_moment_limit_nm
-from simulate.closed_loop.cornering_study import ICE, ICE_STEER_RAD, NONE, SPUN_RAD, TRUTH, Case
+from simulate.closed_loop.cornering_study import ICE, ICE_STEER_RAD, SPUN_RAD, Case
 from simulate.closed_loop.lane_change import LaneChange
 from simulate.closed_loop.lane_study import MARGIN_DB, SPEED_MPS, run_lane
 from simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
