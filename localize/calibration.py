@@ -28,6 +28,31 @@ _GYRO_WHITE_RADPS = 0.005
 _WALK_PER_S = 1e-7  # share of the prior variances that returns every second: offsets may drift
 
 
+@dataclass(frozen=True, slots=True)
+class OdometryCorrection:
+    """What was learned: yaw rate (1 + g) measured - b + c v, speed (1 + s) measured.
+
+    Attributes:
+        yaw_rate_offset_radps: b.
+        curvature_radpm: c, what a steering offset does.
+        yaw_rate_scale: g.
+        speed_scale: s.
+    """
+
+    yaw_rate_offset_radps: float = 0.0
+    curvature_radpm: float = 0.0
+    yaw_rate_scale: float = 0.0
+    speed_scale: float = 0.0
+
+    def rates(self, sample: OdometrySample) -> tuple[float, float]:
+        """Corrected speed and yaw rate."""
+        turning = (1.0 + self.yaw_rate_scale) * sample.yaw_rate_radps - self.yaw_rate_offset_radps
+        return (
+            (1.0 + self.speed_scale) * sample.speed_mps,
+            turning + self.curvature_radpm * sample.speed_mps,
+        )
+
+
 @dataclass(slots=True)
 class _Stretch:
     """What raw odometry adds up to since a pose of the filter."""
@@ -44,10 +69,7 @@ class _Stretch:
 
 
 class OdometryCalibration:
-    """Two small Kalman filters: (offset, curvature, scale) of the yaw rate, scale of the speed.
-
-    corrected yaw rate = (1 + g) measured - b + c v, corrected speed = (1 + s) measured.
-    """
+    """Two small Kalman filters: (offset, curvature, scale) of the yaw rate, scale of the speed."""
 
     def __init__(self, config: LocalizeConfig) -> None:
         self._config = config
@@ -70,40 +92,22 @@ class OdometryCalibration:
         self._stretch: _Stretch | None = None
 
     @property
-    def yaw_rate_offset_radps(self) -> float:
-        """Offset b that is taken off the measured yaw rate."""
-        return float(self._yaw[0])
-
-    @property
-    def curvature_offset_radpm(self) -> float:
-        """Curvature c that is added: what a steering offset does."""
-        return float(self._yaw[1])
-
-    @property
-    def yaw_rate_scale(self) -> float:
-        """Relative correction g of the yaw rate."""
-        return float(self._yaw[2])
-
-    @property
-    def speed_scale(self) -> float:
-        """Relative correction s of the speed."""
-        return float(self._scale)
+    def correction(self) -> OdometryCorrection:
+        """What has been learned so far."""
+        offset, curvature, scale = self._yaw.tolist()
+        return OdometryCorrection(offset, curvature, scale, self._scale)
 
     def correct(self, sample: OdometrySample) -> OdometrySample:
         """The sample without what has been learned; also feeds the standstill detector."""
         if not self._config.learn_offsets:
             return sample
         self._watch_standstill(sample)
-        offset, curvature, scale = self._yaw
-        speed: float = (1.0 + self._scale) * sample.speed_mps
-        yaw_rate: float = (
-            (1.0 + scale) * sample.yaw_rate_radps - offset + curvature * sample.speed_mps
-        )
+        speed, yaw_rate = self.correction.rates(sample)
         if self._standing():
             # no turn without motion; what is left of the offset must not turn a standing car
             speed = yaw_rate = 0.0
         self._extend_stretch(sample)
-        return OdometrySample(sample.stamp_s, sample.arrival_s, float(speed), float(yaw_rate))
+        return OdometrySample(sample.stamp_s, sample.arrival_s, speed, yaw_rate)
 
     def _watch_standstill(self, sample: OdometrySample) -> None:
         """Keep the unbroken run of samples without speed, at most one window long."""

@@ -1,4 +1,4 @@
-"""What a scan of poles and a GNSS fix say about every particle."""
+"""What a scan of poles says about every particle."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import GnssFix, PoleScan, VisibleRegion
+from drivelog.samples import PoleScan, VisibleRegion
 from localize.config import LocalizeConfig
 from localize.particles import effective_count, normalized
 from polemap.association import (
@@ -144,43 +144,3 @@ def _largest(good: Callable[[float], bool], upper: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if good(middle) else (low, middle)
     return low
-
-
-def antenna_at(rear_poses: Floats, antenna_m: Floats, moved: Floats) -> Floats:
-    """Positions `(n, 2)` of the antenna, for rear-axle poses `(n, 3)` that then move by `moved`.
-
-    Args:
-        antenna_m: `(2,)` in the vehicle frame.
-        moved: `(3,)` in the axes of the vehicle before it moves.
-    """
-    c, s = np.cos(rear_poses[:, 2]), np.sin(rear_poses[:, 2])
-    c_moved, s_moved = np.cos(moved[2]), np.sin(moved[2])
-    x = moved[0] + c_moved * antenna_m[0] - s_moved * antenna_m[1]
-    y = moved[1] + s_moved * antenna_m[0] + c_moved * antenna_m[1]
-    return np.stack([rear_poses[:, 0] + c * x - s * y, rear_poses[:, 1] + s * x + c * y], axis=1)
-
-
-def gnss_log_likelihood(
-    rear_poses: Floats,
-    fix: GnssFix,
-    antenna_m: Floats,
-    moved: Floats,
-    config: LocalizeConfig,
-) -> Floats:
-    """Log-likelihood `(n,)` of one fix: a Gaussian of HDOP times the receiver's standard deviation,
-    mixed with a wide one, so that an outlier of a hundred metres says nothing.
-
-    Args:
-        rear_poses: `(n, 3)` at the filter's time.
-        moved: `(3,)` motion of the vehicle from the filter's time to the fix, in vehicle axes.
-    """
-    antenna = antenna_at(rear_poses, antenna_m, moved)
-    variance = (config.gnss_sd_m * max(fix.hdop, 0.5)) ** 2
-    d2 = ((antenna - (fix.east_m, fix.north_m)) ** 2).sum(axis=1) / variance
-    wide = 400.0  # twenty times the standard deviation
-    return np.asarray(
-        np.logaddexp(
-            np.log1p(-config.gnss_outlier_share) - 0.5 * d2,
-            np.log(config.gnss_outlier_share / wide) - 0.5 * d2 / wide,
-        )
-    )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from drivelog.errors import InputError
 from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, StereoFrame
+from localize.calibration import OdometryCorrection
 from localize.clocks import StreamClock
 from localize.config import LocalizeConfig
 from localize.output_config import OutputConfig
@@ -61,36 +62,6 @@ class PoseUpdate:
     offer_s: float = nan
 
 
-@dataclass(frozen=True, slots=True)
-class _Learned:
-    """What the particle filter has learned about the odometry; see `OdometryCalibration`."""
-
-    yaw_rate_offset_radps: float = 0.0
-    curvature_radpm: float = 0.0
-    yaw_rate_scale: float = 0.0
-    speed_scale: float = 0.0
-    slip_rad_per_mps2: float = 0.0
-
-    @classmethod
-    def of(cls, particle_filter: ParticleFilter) -> _Learned:
-        found = particle_filter.calibration
-        return cls(
-            found.yaw_rate_offset_radps,
-            found.curvature_offset_radpm,
-            found.yaw_rate_scale,
-            found.speed_scale,
-            particle_filter.slip_rad_per_mps2,
-        )
-
-    def correct(self, sample: OdometrySample) -> tuple[float, float]:
-        """Speed and yaw rate without what has been learned."""
-        turning = (1.0 + self.yaw_rate_scale) * sample.yaw_rate_radps - self.yaw_rate_offset_radps
-        return (
-            (1.0 + self.speed_scale) * sample.speed_mps,
-            turning + self.curvature_radpm * sample.speed_mps,
-        )
-
-
 class Localizer:
     """A pole map and a stream of samples to a pose at any moment.
 
@@ -129,7 +100,9 @@ class Localizer:
         self._filter = OutputFilter(config.output, self._antenna, config.slip_rad_per_mps2)
         self._limiter = OutputLimiter(config.output)
         self._config: OutputConfig = config.output
-        self._learned = _Learned(slip_rad_per_mps2=config.slip_rad_per_mps2)
+        # what the particle filter has learned
+        self._correction = OdometryCorrection()
+        self._slip_rad_per_mps2 = config.slip_rad_per_mps2
         self._perception = perception
         self._delay_s = processing_delay_s
         self._on_update = on_update
@@ -210,7 +183,7 @@ class Localizer:
                 return
             self._release(sample.arrival_s)
             with self._timed("output_odometry"):
-                placed = self._filter.odometry(stamp, *self._learned.correct(sample))
+                placed = self._filter.odometry(stamp, *self._correction.rates(sample))
             self._count("odometry", placed)
             if self._particle_filter is not None:
                 self._inbox.append(replace(sample, stamp_s=stamp))
@@ -263,7 +236,7 @@ class Localizer:
                 estimate.stamp_s,
                 estimate.pose,
                 estimate.covariance,
-                self._learned.slip_rad_per_mps2,
+                self._slip_rad_per_mps2,
             )
         if placed is Placement.TOO_OLD:
             self.counts["late_dropped"] += 1
@@ -307,11 +280,12 @@ class Localizer:
             with self._timed("particle_filter"):
                 estimate = self._particle_filter.update(scan)
             spent_s = self._last_s("particle_filter")
-            learned = _Learned.of(self._particle_filter)
+            correction = self._particle_filter.correction
+            slip_rad_per_mps2 = self._particle_filter.slip_rad_per_mps2
         if estimate is None:
             return None
         with self._fast:
-            self._learned = learned
+            self._correction, self._slip_rad_per_mps2 = correction, slip_rad_per_mps2
             self._hold(estimate, sample.arrival_s, spent_s)
         return estimate
 

@@ -10,17 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivelog.samples import GnssFix, OdometrySample, PoleScan
-from localize.calibration import OdometryCalibration
+from localize.calibration import OdometryCalibration, OdometryCorrection
 from localize.config import LocalizeConfig
 from localize.exploration import LikelihoodAverages, normalized_quality
+from localize.gnss_fixes import GnssFixes
 from localize.health import HealthRecord, LostDetector
-from localize.likelihood import (
-    PoleWeigher,
-    antenna_at,
-    gnss_log_likelihood,
-    independent_share,
-    tempered,
-)
+from localize.likelihood import PoleWeigher, independent_share, tempered
 from localize.motion_noise import sample_motion
 from localize.odometry_history import OdometryHistory
 from localize.particles import (
@@ -40,7 +35,6 @@ from vehicle.pose import shift_forward, wrap_angle
 Floats = NDArray[np.float64]
 Event = Literal["initialized", "reinitialized", "explored"]
 
-_MOST_FIXES = 200
 _RESTART_SHARE = 0.75
 _FIRST_SHARE = 0.2
 
@@ -96,9 +90,7 @@ class ParticleFilter:
         self._relocation = Relocation(pole_map, config)
         self._averages = LikelihoodAverages(config)
         self._lost = LostDetector(config)
-        self._fixes: list[tuple[GnssFix, Floats]] = []
-        self._last_fix_s: float | None = None
-        self._newest: tuple[GnssFix, Floats, Floats] | None = None
+        self._fixes = GnssFixes(config)
         self._poses = np.empty((0, 3))
         self._slips = np.empty(0)
         self._log_weights = np.empty(0)
@@ -115,9 +107,9 @@ class ParticleFilter:
         return len(self._poses) > 0
 
     @property
-    def calibration(self) -> OdometryCalibration:
+    def correction(self) -> OdometryCorrection:
         """What was learned about the odometry."""
-        return self._calibration
+        return self._calibration.correction
 
     @property
     def slip_rad_per_mps2(self) -> float:
@@ -146,8 +138,7 @@ class ParticleFilter:
             return
         antenna = np.asarray(antenna_m, dtype=np.float64)
         self._relocation.add_fix(fix, antenna, self._history.dead_reckoning(fix.stamp_s))
-        self._fixes.append((fix, antenna))
-        del self._fixes[:-_MOST_FIXES]
+        self._fixes.add(fix, antenna)
 
     def set_pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
         """Start from a known (or believed) rear-axle pose `(3,)` with covariance `(3, 3)`."""
@@ -186,7 +177,7 @@ class ParticleFilter:
             self._place(drawn, np.zeros(len(drawn)))
             event, share = "initialized", _FIRST_SHARE
         self._stamp_s, self._travelled_m = stamp, travelled
-        self._weigh_fixes(reckoned)
+        self._log_weights = self._fixes.weigh(self._log_weights, self._rear(), stamp, self._history)
         self._weigh_scan(scan, share)
         if event is None:
             event = self._recover(scan, reckoned)
@@ -218,25 +209,6 @@ class ParticleFilter:
         """Slip of newcomers: from what is known of any car, for which none is negative."""
         mean, sd = self._config.slip_rad_per_mps2, self._config.slip_sd_rad_per_mps2
         return np.abs(mean + sd * self._rng.standard_normal(count))
-
-    def _weigh_fixes(self, reckoned: Floats) -> None:
-        """Weigh by the fixes up to now; later ones wait for the next scan."""
-        due = [entry for entry in self._fixes if entry[0].stamp_s <= self._stamp_s]
-        if not due:
-            return
-        del self._fixes[: len(due)]
-        rear = self._rear()
-        for fix, antenna in due:
-            last, self._last_fix_s = self._last_fix_s, fix.stamp_s
-            if last is None or self._stamp_s - fix.stamp_s > self._config.gnss_max_age_s:
-                continue
-            # fixes share one slowly wandering error: their information grows with time, not number
-            share = min(1.0, (fix.stamp_s - last) / (2.0 * self._config.gnss_correlation_s))
-            moved = relative_motion(reckoned, self._history.dead_reckoning(fix.stamp_s))
-            self._newest = (fix, antenna, moved)
-            self._log_weights = self._log_weights + share * gnss_log_likelihood(
-                rear, fix, antenna, moved, self._config
-            )
 
     def _weigh_scan(self, scan: PoleScan, share: float) -> None:
         config = self._config
@@ -314,7 +286,7 @@ class ParticleFilter:
             len(scan),
             fit.expected,
             float(np.sqrt(major * minor)),
-            self._gnss_distance_sd(pose, spread),
+            self._fixes.distance_sd(pose, spread),
         )
         settled = event not in ("initialized", "reinitialized") and len(modes) == 1
         healthy = settled and major <= config.healthy_sd_m and self._lost.fits
@@ -333,25 +305,12 @@ class ParticleFilter:
             modes=len(modes),
             mode_share=modes[0].share if modes else 0.0,
             evidence_share=self._used_share,
-            yaw_rate_offset_radps=self._calibration.yaw_rate_offset_radps,
-            speed_scale=self._calibration.speed_scale,
+            yaw_rate_offset_radps=self.correction.yaw_rate_offset_radps,
+            speed_scale=self.correction.speed_scale,
         )
         return PfEstimate(
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event
         )
-
-    def _gnss_distance_sd(self, pose: Floats, covariance: Floats) -> float | None:
-        """Distance of the pose from the newest fix, in standard deviations; None if it is old."""
-        if self._newest is None:
-            return None
-        fix, antenna, moved = self._newest
-        self._newest = None
-        at_fix = antenna_at(pose[np.newaxis], antenna, moved)[0]
-        variance = (self._config.gnss_sd_m * max(fix.hdop, 0.5)) ** 2
-        # a scattered cloud must not excuse any distance
-        own = min(0.5 * float(covariance[0, 0] + covariance[1, 1]), 4.0 * variance)
-        distance = np.hypot(at_fix[0] - fix.east_m, at_fix[1] - fix.north_m)
-        return float(distance / np.sqrt(variance + own))
 
     def _held_by_poles(self, estimate: PfEstimate) -> bool:
         health = estimate.health
@@ -368,10 +327,3 @@ class ParticleFilter:
         self._slips = jittered(self._slips[chosen], self._rng)
         self._poses = self._poses[chosen]
         self._log_weights = np.zeros(count)
-
-
-def relative_motion(start: Floats, end: Floats) -> Floats:
-    """Motion `(3,)` from one dead-reckoned pose to another, in the axes of the first."""
-    c, s = np.cos(start[2]), np.sin(start[2])
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    return np.array([c * dx + s * dy, -s * dx + c * dy, end[2] - start[2]])

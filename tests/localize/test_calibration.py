@@ -50,18 +50,20 @@ def test_the_offset_is_learned_at_standstill() -> None:
     calibration = OdometryCalibration(LocalizeConfig())
     last = stand(calibration, 0.004, 20.0, np.random.default_rng(0))
     # half of 20 s at 50 Hz counts, and the white noise that is assumed is 0.005 rad/s
-    assert calibration.yaw_rate_offset_radps == pytest.approx(0.004, abs=5 * 0.005 / np.sqrt(450))
+    assert calibration.correction.yaw_rate_offset_radps == pytest.approx(
+        0.004, abs=5 * 0.005 / np.sqrt(450)
+    )
     assert (last.speed_mps, last.yaw_rate_radps) == (0.0, 0.0)
 
 
 def test_a_turntable_is_no_standstill() -> None:
     calibration = OdometryCalibration(LocalizeConfig())
     stand(calibration, 0.3, 20.0, np.random.default_rng(0))
-    assert calibration.yaw_rate_offset_radps == 0.0
+    assert calibration.correction.yaw_rate_offset_radps == 0.0
     rng = np.random.default_rng(1)
     for k in range(1000):
         calibration.correct(OdometrySample(0.02 * k, 0.02 * k, 0.0, 0.2 * rng.standard_normal()))
-    assert calibration.yaw_rate_offset_radps == 0.0
+    assert calibration.correction.yaw_rate_offset_radps == 0.0
 
 
 def test_short_stops_teach_nothing() -> None:
@@ -69,14 +71,14 @@ def test_short_stops_teach_nothing() -> None:
     for k in range(2000):
         speed = 0.0 if k % 75 < 50 else 2.0  # one second of standstill at a time
         calibration.correct(OdometrySample(0.02 * k, 0.02 * k, speed, 0.01))
-    assert calibration.yaw_rate_offset_radps == 0.0
+    assert calibration.correction.yaw_rate_offset_radps == 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_scale_and_curvature_are_learned_on_the_way(seed: int) -> None:
     calibration = OdometryCalibration(LocalizeConfig())
     drive(calibration, np.random.default_rng(seed), scale=1.03, curvature=0.0015)
-    assert calibration.speed_scale == pytest.approx(0.03, abs=0.006)
+    assert calibration.correction.speed_scale == pytest.approx(0.03, abs=0.006)
     corrected = calibration.correct(OdometrySample(301.0, 301.0, 8.0, 0.0))
     # offset and curvature look alike at one speed: what counts is their sum
     assert corrected.yaw_rate_radps == pytest.approx(0.0015 * 8.0, abs=0.0015)
@@ -96,7 +98,7 @@ def test_poses_that_no_pole_holds_teach_nothing() -> None:
         t = 0.02 * k
         calibration.correct(OdometrySample(t, t, 10.0, 0.0))
         calibration.learn(t, np.array([20.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=False)
-    assert calibration.speed_scale == 0.0
+    assert calibration.correction.speed_scale == 0.0
 
 
 def test_learning_can_be_switched_off() -> None:
