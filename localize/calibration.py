@@ -145,8 +145,10 @@ class OdometryCalibration:
 
     def _extend_stretch(self, sample: OdometrySample) -> None:
         """Add the raw sample to the stretch under way."""
-        last, self._last_stamp_s = self._last_stamp_s, sample.stamp_s
-        stretch = self._stretch
+        last, stretch = self._last_stamp_s, self._stretch
+        if last is not None and sample.stamp_s <= last:
+            return  # late or doubled: the time up to the newest has been counted
+        self._last_stamp_s = sample.stamp_s
         if last is None or stretch is None:
             return
         dt = sample.stamp_s - max(last, stretch.stamp_s)

@@ -92,6 +92,17 @@ def test_right_odometry_stays_as_it_is() -> None:
     assert corrected.yaw_rate_radps == pytest.approx(0.05, abs=0.0015)
 
 
+def test_late_and_doubled_samples_are_not_counted_twice() -> None:
+    """A car at 10 m/s whose odometry is right; every sample comes again, later than its next."""
+    calibration = OdometryCalibration(LocalizeConfig())
+    for k in range(5000):
+        t = 0.02 * k
+        for stamp in (t, t - 0.02) if k else (t,):
+            calibration.correct(OdometrySample(stamp, t, 10.0, 0.0))
+        calibration.learn(t, np.array([10.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=True)
+    assert calibration.correction.speed_scale == pytest.approx(0.0, abs=1e-6)
+
+
 def test_poses_that_no_pole_holds_teach_nothing() -> None:
     calibration = OdometryCalibration(LocalizeConfig())
     for k in range(5000):
