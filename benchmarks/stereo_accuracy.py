@@ -13,15 +13,13 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.stereo_pairs import Pair, read_pairs
 from benchmarks.stereo_scenes import PoleScore, rendered_scene, score_poles
 from stereo.checks import without_speckles
 from stereo.config import OpenCvConfig, StereoConfig
@@ -29,94 +27,6 @@ from stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
 from stereo.matching import StereoMatcher, make_matcher
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
-
-
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """A pair with the true disparity of its left view, NaN where it is unknown."""
-
-    name: str
-    left: NDArray[np.uint8]
-    right: NDArray[np.uint8]
-    truth: NDArray[np.float32]
-    kitti: bool
-
-    def non_occluded(self) -> NDArray[np.bool_]:
-        """Where truth is known and the right camera sees the point (KITTI's truth is so already).
-
-        A pixel is hidden if one with a disparity over 1 px larger has the same partner.
-        """
-        known = np.isfinite(self.truth)
-        if self.kitti:
-            return known
-        height, width = self.truth.shape
-        row, column = np.nonzero(known)
-        disparity = self.truth[row, column]
-        partner = np.rint(column - disparity).astype(np.int64)
-        nearest = np.full((height, width), -np.inf)
-        inside = partner >= 0
-        np.maximum.at(nearest, (row[inside], partner[inside]), disparity[inside])
-        seen = inside & (disparity >= nearest[row, np.maximum(partner, 0)] - 1)
-        mask = np.zeros((height, width), dtype=bool)
-        mask[row[seen], column[seen]] = True
-        return mask
-
-    def wrong(self, disparity: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Over 3 px and 5 % (KITTI) or over 1 px (Middlebury)."""
-        with np.errstate(invalid="ignore"):
-            error = np.abs(disparity - self.truth)
-            if self.kitti:
-                return np.asarray((error > 3) & (error > 0.05 * self.truth))
-            return np.asarray(error > 1)
-
-
-def _grey(path: Path) -> NDArray[np.uint8]:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise SystemExit(f"{path}: no image; pass a KITTI or Middlebury folder")
-    return np.asarray(image, dtype=np.uint8)
-
-
-def _truth(path: Path, scale: float) -> NDArray[np.float32]:
-    raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if raw is None:
-        raise SystemExit(f"{path}: no ground truth")
-    return np.where(raw > 0, raw / scale, np.nan).astype(np.float32)
-
-
-def read_pairs(folder: Path) -> Iterator[Pair]:
-    """The pairs of a KITTI or Middlebury folder."""
-    folder = folder / "training" if (folder / "training").is_dir() else folder
-    kitti = [
-        (left, right, truth)
-        for left, right, truth in (
-            ("image_2", "image_3", "disp_noc_0"),
-            ("image_0", "image_1", "disp_noc"),
-        )
-        if (folder / truth).is_dir()
-    ]
-    for left, right, truth in kitti[:1]:
-        for path in sorted((folder / truth).glob("*_10.png")):
-            yield Pair(
-                path.stem,
-                _grey(folder / left / path.name),
-                _grey(folder / right / path.name),
-                _truth(path, 256.0),
-                True,
-            )
-    if kitti:
-        return
-    for truth_path in sorted(folder.rglob("*disp*2.png")):
-        lefts = [p for p in truth_path.parent.glob("*2.png") if "disp" not in p.name]
-        rights = [p for p in truth_path.parent.glob("*6.png") if "disp" not in p.name]
-        stem = truth_path.stem.split("_")[0].split("-")[0]
-        left_path = next((p for p in lefts if stem in p.name), lefts[0] if lefts else None)
-        right_path = next((p for p in rights if stem in p.name), rights[0] if rights else None)
-        if left_path is None or right_path is None:
-            continue
-        name = truth_path.parent.name if stem.startswith("disp") else stem
-        truth_map = _truth(truth_path, 4.0)
-        yield Pair(name, _grey(left_path), _grey(right_path), truth_map, False)
 
 
 def variants(disparities: int = 128) -> dict[str, StereoConfig]:
