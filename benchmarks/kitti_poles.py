@@ -1,0 +1,98 @@
+"""Poles of KITTI odometry 03 against its LiDAR map, every frame by a model that never saw it.
+
+    python -m benchmarks.kitti_poles
+
+Two models, each trained on one half of the drive, judge the other half; a third, trained on
+simulated labels alone (`polemap/models/simulated.json`), judges all. Printed per band of range for
+single frames, and for tracks. Not timed, so `python -m benchmarks` leaves it out.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from drivelog.drive import Drive, open_drive
+from drivelog.samples import OdometrySample, StereoFrame
+from polemap.classifier import PoleClassifier
+from polemap.config import PolemapConfig
+from polemap.evaluation import FrameRecord, Score, record, score_frames, score_tracks
+from polemap.io import read_map
+from polemap.landmark_map import PoleMap
+from polemap.models.io import read_classifier
+from polemap.perception import PolePerception, samples_to_see
+from polemap.training import Samples, TrainingConfig, collect, train
+from stereo.config import StereoConfig
+from stereo.matching import make_matcher
+
+KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_odometry"
+UNMAPPED = Path(__file__).parent / "kitti_03_unmapped_poles.csv"
+BANDS_M = [(5.0, 20.0), (5.0, 10.0), (10.0, 15.0), (15.0, 20.0)]
+
+
+def look(drive: Drive, poles: PoleMap, model: PoleClassifier) -> list[FrameRecord]:
+    """A record of every frame, as one model sees it."""
+    assert drive.rig is not None
+    assert drive.reference is not None
+    config = PolemapConfig()
+    eye = PolePerception(drive.rig, config, classifier=model)
+    records = []
+    for sample in samples_to_see(drive):
+        if isinstance(sample, OdometrySample):
+            eye.push_odometry(sample)
+        elif isinstance(sample, StereoFrame):
+            pose = drive.reference.at(np.array([sample.stamp_s]))[0]
+            seen = eye.look(sample)
+            records.append(record(seen, pose, poles, drive.rig, config.detection))
+    return records
+
+
+def half_models(samples: Samples) -> list[PoleClassifier]:
+    """Model k is trained without part k."""
+    models = []
+    for part in (0, 1):
+        rest = samples.group != part
+        other = Samples(
+            samples.features[rest], samples.is_pole[rest], np.zeros(rest.sum(), np.int64),
+            samples.pole[rest], (samples.groups[1 - part],),
+        )  # fmt: skip
+        models.append(train(other, TrainingConfig(), {}))
+    return models
+
+
+def main() -> None:
+    """Print the tables."""
+    drive = open_drive(KITTI / "sequences" / "03")
+    poles = read_map(KITTI / "poles" / "03.csv", drive.frame)
+    lacking = read_map(UNMAPPED, drive.frame).points_m
+    assert drive.rig is not None
+    matcher = make_matcher(StereoConfig(), drive.rig)
+    settings = PolemapConfig().detection
+    labels = collect(drive, poles, matcher, settings, TrainingConfig(), ignore_m=lacking, parts=2)
+    middle = len(drive.frame_stamps_s) // 2
+    first, second = (look(drive, poles, model) for model in half_models(labels))
+    crossed = [*first[:middle], *second[middle:]]
+    _frames("halves crossed", crossed, poles, lacking)
+    # tracks do not go over from one model to the other
+    for name, part in (("first half", first[:middle]), ("second half", second[middle:])):
+        _print(f"{name}, tracks", score_tracks(part, poles, BANDS_M[0], lacking))
+    simulated = look(drive, poles, read_classifier("simulated"))
+    _frames("simulated labels only", simulated, poles, lacking)
+    _print("simulated labels only, tracks", score_tracks(simulated, poles, BANDS_M[0], lacking))
+
+
+def _frames(name: str, records: list[FrameRecord], poles: PoleMap, lacking: np.ndarray) -> None:
+    for score in score_frames(records, poles, BANDS_M, lacking):
+        _print(name, score)
+
+
+def _print(name: str, score: Score) -> None:
+    values = score.figures()
+    low, high = values.pop("range_min_m"), values.pop("range_max_m")
+    text = ", ".join(f"{key} {value:.3g}" for key, value in values.items())
+    print(f"{name}, {low:.0f}-{high:.0f} m: {text}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
