@@ -99,6 +99,7 @@ class ParticleFilter:
         self._scan_evidence = 0.0
         self._used_share = 0.0
         self._explored_share = 0.0
+        self._proven = False
         self.counts: Counter[str] = Counter()
 
     @property
@@ -149,6 +150,7 @@ class ParticleFilter:
         self._stamp_s, self._travelled_m = stamp_s, self._history.travelled_m(stamp_s)
         self._averages.reset()
         self._lost.reset()
+        self._proven = True
 
     def update(self, scan: PoleScan) -> PfEstimate | None:
         """Move to the scan's stamp, weigh, explore, estimate, resample.
@@ -288,7 +290,12 @@ class ParticleFilter:
             float(np.sqrt(major * minor)),
             self._fixes.distance_sd(pose, spread),
         )
-        settled = event not in ("initialized", "reinitialized") and len(modes) == 1
+        if event in ("initialized", "reinitialized"):
+            self._proven = False
+        elif len(modes) == 1 and major <= config.proven_sd_m and fit.matched > 0:
+            # a single pole fits in many places; only what poles have narrowed down is a place
+            self._proven = True
+        settled = self._proven and len(modes) == 1
         healthy = settled and major <= config.healthy_sd_m and self._lost.fits
         health = HealthRecord(
             stamp_s=scan.stamp_s,
