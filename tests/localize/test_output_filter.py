@@ -1,6 +1,5 @@
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,45 +12,14 @@ from localize.output_config import OutputConfig
 from localize.output_filter import OutputFilter, usable_pose
 from localize.output_state import FilterState
 from simulate.point_drive import PointNoise, point_drive
+from tests.localize.output_events import events_of, give, run, started_with_odometry
 from vehicle.delay import Placement
 from vehicle.errors import VehicleError
-from vehicle.kalman import chi_square_gate
 from vehicle.motion import ctrv_jacobian, ctrv_process_noise, ctrv_step
 from vehicle.pose import wrap_angle
 
 PLAIN = OutputConfig(gate=False, pose_errors="independent", pose_floor_m=0.0, pose_floor_rad=0.0)
 START = np.diag([0.04, 0.04, 0.01])
-
-
-def events_of(drive):
-    """(arrival, kind, sample) of odometry and poses."""
-    events = [(o.arrival_s, 0, o) for o in drive.odometry]
-    events += [(p.arrival_s, 1, p) for p in drive.poses]
-    return sorted(events, key=lambda event: event[:2])
-
-
-def give(output, kind, sample):
-    if kind == 0:
-        return output.odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
-    if kind == 1:
-        return output.pose(sample.stamp_s, sample.pose, sample.covariance)
-    return output.gnss(sample.stamp_s, sample.east_m, sample.north_m, sample.hdop)
-
-
-def run(drive, config, events=None):
-    """Feed a drive and ask at 100 Hz; stamps, means (n, 7), covariances (n, 3, 3), the filter."""
-    output = OutputFilter(config)
-    stamps, means, covariances, tick = [], [], [], 0
-    for arrival, kind, sample in events_of(drive) if events is None else events:
-        while tick / 100 < arrival:
-            if output.started:
-                state = output.at(tick / 100)
-                stamps.append(tick / 100)
-                means.append(state.mean)
-                covariances.append(unpack(state.upper)[:3, :3])
-            tick += 1
-        give(output, kind, sample)
-    return np.array(stamps), np.array(means), np.array(covariances), output
 
 
 def same(a, b, tolerance):
@@ -264,173 +232,6 @@ def test_standing_still_learns_the_gyro_offset_and_does_not_turn():
     assert np.allclose(state.mean[:3], [1.0, 2.0, 0.5], atol=2e-3)
     assert state.mean[6] == pytest.approx(0.004, abs=4e-4)
     assert math.sqrt(unpack(state.upper)[0, 0]) < 0.25
-
-
-def started_with_odometry(config, seconds=2.0, speed=10.0):
-    output = OutputFilter(config)
-    output.pose(0.0, np.array([0.0, 0.0, 0.0]), np.diag([0.01, 0.01, 1e-4]))
-    for step in range(1, round(seconds * 50) + 1):
-        output.odometry(step * 0.02, speed, 0.0)
-    return output
-
-
-def rejections(config, offsets, *, gnss=None):
-    """Poses off by the given lateral offsets at 20 Hz after two good seconds; the decisions."""
-    output = started_with_odometry(config, 0.02)
-    decisions, stamp = [], 0.0
-    for step in range(1, 40 + len(offsets)):
-        stamp = 0.05 * step
-        for part in range(3):
-            output.odometry(stamp - 0.05 + 0.05 * (part + 1) / 3, 10.0, 0.0)
-        offset = 0.0 if step < 40 else offsets[step - 40]
-        output.pose(
-            stamp + 1e-6, np.array([10.0 * stamp, offset, 0.0]), np.diag([0.0025, 0.0025, 1e-5])
-        )
-        decisions.append(output.newest.decision)
-        if gnss is not None and step % 10 == 0:
-            output.gnss(stamp + 2e-6, 10.0 * stamp + 1.0, gnss, 1.0)
-    return output, decisions[39:]
-
-
-def test_rejections_are_ignored_then_inflated_then_reinitialize():
-    config = OutputConfig()
-    output, decisions = rejections(config, [10.0] * 60)
-    changes = [decisions[0]] + [b for a, b in pairwise(decisions) if a != b]
-    assert changes == ["ignored", "inflated", "reinitialized", "accepted"]
-    assert decisions.index("inflated") * 0.05 == pytest.approx(config.inflate_after_s, abs=0.051)
-    counts = output.newest.counts
-    assert decisions.index("reinitialized") * 0.05 == pytest.approx(
-        config.reinitialize_after_s, abs=0.051
-    )
-    assert counts.reinitializations == 1
-    assert counts.gate_rejections == decisions.index("accepted")
-    assert counts.inflations == decisions.count("inflated")
-    assert output.newest.mean[1] == pytest.approx(10.0, abs=0.2)
-
-
-def test_poses_that_come_back_end_the_rejections_without_a_jump():
-    output, decisions = rejections(OutputConfig(), [10.0] * 20 + [0.0] * 20)
-    assert "reinitialized" not in decisions
-    assert decisions[-1] == "accepted"
-    assert abs(output.newest.mean[1]) < 0.05
-    assert output.newest.rival is None
-
-
-def test_poses_that_do_not_move_as_the_car_does_are_no_place_to_go_to():
-    """Positions beside the truth but a heading turned by 90 degrees cannot both be right."""
-    config = OutputConfig()
-    output = started_with_odometry(config, 2.0)
-    for step in range(1, 120):
-        stamp = 2.0 + 0.05 * step
-        for part in range(3):
-            output.odometry(stamp - 0.05 + 0.05 * (part + 1) / 3, 10.0, 0.0)
-        turned = np.array([10.0 * stamp, 10.0, math.pi / 2])
-        output.pose(stamp + 1e-6, turned, np.diag([0.0025, 0.0025, 1e-5]))
-    counts = output.newest.counts
-    assert counts.reinitializations == 0
-    assert counts.incoherent > 10
-    assert abs(output.newest.mean[1]) < 0.1
-
-
-def test_gnss_vetoes_a_reinitialization_to_poses_that_it_contradicts():
-    output, decisions = rejections(OutputConfig(), [10.0] * 100, gnss=0.5)
-    assert "reinitialized" not in decisions
-    assert decisions.count("vetoed") == output.newest.counts.gnss_vetoes > 0
-    assert abs(output.newest.mean[1]) < 1.0
-
-
-def test_gnss_that_speaks_for_the_poses_does_not_veto():
-    _, decisions = rejections(OutputConfig(), [10.0] * 100, gnss=9.5)
-    assert "reinitialized" in decisions
-
-
-def test_inflation_is_bounded():
-    config = OutputConfig(reinitialize_after_s=1e6)
-    output, decisions = rejections(config, [10.0] * 200)
-    assert set(decisions) == {"ignored", "inflated"}, "10 m off for 10 s never passes the gate"
-    # the bound allows 1.5 m after ten seconds at 10 m/s, and dead reckoning has its own drift
-    assert math.sqrt(unpack(output.newest.upper)[1, 1]) < 3.5
-
-
-def test_the_gate_is_on_the_squared_distance():
-    """A pose just inside the gate is accepted, one just outside is not."""
-    config = OutputConfig(pose_errors="independent", pose_floor_m=0.0, pose_floor_rad=0.0)
-    limit = math.sqrt(chi_square_gate(config.pose_gate, 3))
-    for factor, decision in ((0.99, "accepted"), (1.01, "ignored")):
-        output = started_with_odometry(config)
-        state = output.newest
-        spread = unpack(state.upper)[1, 1] + 0.0025
-        pose = np.array([state.mean[0], state.mean[1] + factor * limit * math.sqrt(spread), 0.0])
-        # an angle and a position along that say nothing
-        output.pose(state.stamp_s + 1e-9, pose, np.diag([1e6, 0.0025, 1e6]))
-        assert output.newest.decision == decision
-        assert output.newest.nis == pytest.approx((factor * limit) ** 2, rel=0.01)
-
-
-def test_the_heading_is_wrapped_before_the_gate():
-    output = OutputFilter(OutputConfig())
-    output.pose(0.0, np.array([0.0, 0.0, math.pi - 0.01]), START)
-    output.pose(0.05, np.array([0.0, 0.0, -math.pi + 0.01]), START)
-    assert output.newest.decision == "accepted"
-    assert abs(abs(output.newest.mean[2]) - math.pi) < 0.02
-
-
-def test_wild_odometry_is_rejected_until_it_insists():
-    config = OutputConfig()
-    output = started_with_odometry(config)
-    for step in range(1, config.odometry_rejections_max + 1):
-        output.odometry(2.0 + 0.02 * step, 60.0, 0.0)
-        assert output.newest.mean[3] == pytest.approx(10.0, abs=0.5)
-    output.odometry(2.5, 60.0, 0.0)
-    assert output.newest.mean[3] > 50.0
-    assert output.newest.counts.odometry_rejections == config.odometry_rejections_max + 1
-
-
-def gnss_drive(seed, **changes):
-    drive = point_drive(np.random.default_rng(seed), duration_s=25.0, **changes)
-    events = [(o.arrival_s, 0, o) for o in drive.odometry]
-    events += [(fix.arrival_s, 2, fix) for fix in drive.gnss]
-    return drive, sorted(events, key=lambda event: event[:2])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_gnss_starts_the_filter_once_the_heading_shows(seed):
-    drive, events = gnss_drive(seed)
-    stamps, means, covariances, output = run(drive, OutputConfig(), events)
-    assert output.started
-    true = drive.truth(stamps)
-    # at the start the heading is known to the configured sd, the position to that of GNSS
-    assert abs(wrap_angle(means[0, 2] - true[0, 2])) < 4 * math.sqrt(covariances[0, 2, 2])
-    assert math.sqrt(covariances[0, 2, 2]) <= OutputConfig().start_yaw_sd_rad + 0.01
-    assert np.hypot(*(means[:, :2] - true[:, :2]).T).max() < 4 * 2.5 * 1.5
-    assert output.newest.counts.gnss_accepted > 5
-
-
-def test_the_first_pose_that_fits_takes_over_from_gnss():
-    drive, events = gnss_drive(5)
-    output = OutputFilter(OutputConfig())
-    for _, kind, sample in events:
-        give(output, kind, sample)
-    stamp = output.newest.stamp_s
-    wrong = drive.truth(stamp)[0, :3] + [40.0, 0.0, math.pi]
-    output.pose(stamp + 0.01, wrong, np.diag([0.01, 0.01, 1e-4]))
-    assert output.newest.decision == "ignored"
-    true = drive.truth(stamp)[0, :3]
-    output.pose(stamp + 0.02, true, np.diag([0.01, 0.01, 1e-4]))
-    assert output.newest.decision == "started"
-    assert output.newest.counts.takeovers == 1
-    assert np.allclose(output.newest.mean[:2], true[:2], atol=0.01)
-
-
-def test_a_filter_that_gnss_contradicts_for_long_starts_anew():
-    drive, events = gnss_drive(6)
-    output = OutputFilter(OutputConfig())
-    output.pose(0.0, drive.truth(0.0)[0, :3] + [200.0, 0.0, 2.0], np.diag([0.01, 0.01, 1e-4]))
-    for _, kind, sample in events:
-        give(output, kind, sample)
-    assert output.newest.counts.gnss_restarts == 1
-    error = np.array(output.newest.mean[:2]) - drive.truth(output.newest.stamp_s)[0, :2]
-    assert np.hypot(*error) < 4 * 2.5 * 1.5
 
 
 def test_a_pose_older_than_the_horizon_is_dropped_and_changes_nothing():

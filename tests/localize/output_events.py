@@ -1,0 +1,45 @@
+"""Drives of points fed to the output filter, event by event."""
+
+import numpy as np
+
+from localize.ctrv_kernel import unpack
+from localize.output_filter import OutputFilter
+
+
+def events_of(drive):
+    """(arrival, kind, sample) of odometry and poses."""
+    events = [(o.arrival_s, 0, o) for o in drive.odometry]
+    events += [(p.arrival_s, 1, p) for p in drive.poses]
+    return sorted(events, key=lambda event: event[:2])
+
+
+def give(output, kind, sample):
+    if kind == 0:
+        return output.odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
+    if kind == 1:
+        return output.pose(sample.stamp_s, sample.pose, sample.covariance)
+    return output.gnss(sample.stamp_s, sample.east_m, sample.north_m, sample.hdop)
+
+
+def run(drive, config, events=None):
+    """Feed a drive and ask at 100 Hz; stamps, means (n, 7), covariances (n, 3, 3), the filter."""
+    output = OutputFilter(config)
+    stamps, means, covariances, tick = [], [], [], 0
+    for arrival, kind, sample in events_of(drive) if events is None else events:
+        while tick / 100 < arrival:
+            if output.started:
+                state = output.at(tick / 100)
+                stamps.append(tick / 100)
+                means.append(state.mean)
+                covariances.append(unpack(state.upper)[:3, :3])
+            tick += 1
+        give(output, kind, sample)
+    return np.array(stamps), np.array(means), np.array(covariances), output
+
+
+def started_with_odometry(config, seconds=2.0, speed=10.0):
+    output = OutputFilter(config)
+    output.pose(0.0, np.array([0.0, 0.0, 0.0]), np.diag([0.01, 0.01, 1e-4]))
+    for step in range(1, round(seconds * 50) + 1):
+        output.odometry(step * 0.02, speed, 0.0)
+    return output
