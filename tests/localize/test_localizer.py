@@ -1,3 +1,4 @@
+import importlib.util
 import math
 import re
 import threading
@@ -274,14 +275,14 @@ def _after(street):
 
 def test_the_example_of_the_docs_runs(street):
     text = (DOCS / "live.md").read_text(encoding="utf-8")
-    code = re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1)
-    assert len(code.strip().splitlines()) <= 20
-    names = {
-        "pole_map": street.pole_map,
-        "samples": lambda: iter(inputs(street)),
-        "steer": (steered := []).append,
-    }
-    exec(compile(code, "docs/live.md", "exec"), names)
+    shown = re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1)
+    assert shown == (DOCS / "live_example.py").read_text(encoding="utf-8")
+    assert len(shown.split("def drive")[1].strip().splitlines()) <= 20
+    spec = importlib.util.spec_from_file_location("live_example", DOCS / "live_example.py")
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    steered = []
+    example.drive(street.pole_map, iter(inputs(street)), steered.append)
     assert len(steered) > 100
     stamps, error = errors(street, [pose for pose in steered if pose.stamp_s > 8.0])
     assert len(stamps)
