@@ -24,6 +24,10 @@ from stereo.matching import DisparityPair
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
+# maps are gone through in strips that stay in the cache: fresh memory costs more than arithmetic
+_STRIP_ROWS = 24
+_STRIP_PIXELS = 30_000
+
 
 @dataclass(frozen=True, slots=True)
 class DepthEdges:
@@ -77,16 +81,25 @@ def _upright_median(disparity: Floats, step: int) -> Floats:
     So two of the three have to be there, and where one is missing the smaller of the others is
     taken: a hole is filled from the background.
     """
-    thin = np.array(disparity[::step], dtype=np.float32)
-    cv2.patchNaNs(thin, 0.0)
-    upper, here, lower = thin[:-2], thin[1:-1], thin[2:]
-    median = thin.copy()
-    if len(thin) > 2:
-        # fresh arrays of this size cost as much as the arithmetic: results go where they can
-        most = cv2.max(upper, here)
-        cv2.min(most, lower, dst=most)
-        cv2.min(upper, here, dst=median[1:-1])
-        cv2.max(median[1:-1], most, dst=median[1:-1])
+    rows = disparity[::step]
+    height = len(rows)
+    median = np.empty(rows.shape, dtype=np.float32)
+    for first in range(0, height, _STRIP_ROWS):
+        last = min(first + _STRIP_ROWS, height)
+        above = max(first - 1, 0)
+        thin = np.array(rows[above : last + 1], dtype=np.float32)
+        cv2.patchNaNs(thin, 0.0)
+        if first == 0:
+            median[0] = thin[0]
+        if last == height:
+            median[-1] = thin[-1]
+        if len(thin) > 2:
+            upper, here, lower = thin[:-2], thin[1:-1], thin[2:]
+            out = median[above + 1 : above + len(thin) - 1]
+            most = cv2.max(upper, here)
+            cv2.min(most, lower, dst=most)
+            cv2.min(upper, here, dst=out)
+            cv2.max(out, most, dst=out)
     return median
 
 
@@ -101,67 +114,124 @@ def depth_edges(
         depth_step: smallest jump as `c` in `near - far >= c * near * far`: with c = dZ / (f b)
             that is a jump of the depth by dZ.
     """
-    left, right = _matched(maps.left), _matched(maps.right)
+    views = [_jumps(view, step_min_px, depth_step) for view in (maps.left, maps.right)]
     sides = []
-    for toward_right in (False, True):
+    for toward_right in (0, 1):
         # the band beside the left flank is seen in the left view, the one beside the right flank
         # in the right view; the other view still shows the jump
-        own, other = (right, left) if toward_right else (left, right)
-        seen = _jumps(own, toward_right, step_min_px, depth_step)
-        bare = _jumps(other, toward_right, step_min_px, depth_step)
+        left, right = (view[toward_right] for view in views)
         # a column of the right view moves by its disparity into the left view
-        moved = (seen if toward_right else bare)[2]
-        columns = (seen[1] + moved, bare[1]) if toward_right else (seen[1], bare[1] + moved)
-        row = np.concatenate([seen[0], bare[0]])
-        column = np.concatenate(columns)
-        near, far = (np.concatenate([seen[k], bare[k]]) for k in (2, 3))
-        occluding = np.concatenate([seen[4], np.zeros(len(bare[0]), dtype=bool)])
+        right = right._replace(column=right.column + right.near)
+        seen, bare = (right, left) if toward_right else (left, right)
+        row = np.concatenate([seen.row, bare.row])
+        column = np.concatenate([seen.column, bare.column])
+        near = np.concatenate([seen.near, bare.near])
+        far = np.concatenate([seen.far, bare.far])
+        occluding = np.concatenate([seen.band, np.zeros(len(bare.row), dtype=bool)])
         order = np.argsort(row * np.float64(1 << 20) + column)
         row = (row[order] * maps.row_step_px).astype(np.int32)
         sides.append(DepthEdges(row, column[order], near[order], far[order], occluding[order]))
     return sides[0], sides[1]
 
 
-class _Matched(NamedTuple):
-    """The matched pixels of a map in reading order: flat position, disparity, step to the next."""
+class _Jumps(NamedTuple):
+    """Jumps of one view on one side of the objects, in reading order, `(n,)` each.
 
-    width: int
-    position: NDArray[np.int64]
-    value: Floats
-    step: Floats
+    `column` is that of the nearer surface's outermost pixel, `band` says whether the half-occluded
+    band lies between the surfaces.
+    """
 
-
-def _matched(disparity: Floats) -> _Matched:
-    flat = disparity.ravel()
-    position = np.flatnonzero(flat > 0)
-    value = flat[position]
-    return _Matched(disparity.shape[1], position, value, np.diff(value))
+    row: Ints
+    column: Floats
+    near: Floats
+    far: Floats
+    band: NDArray[np.bool_]
 
 
-def _jumps(
-    pixels: _Matched, toward_right: bool, step_min_px: float, depth_step: float
-) -> tuple[Ints, Floats, Floats, Floats, NDArray[np.bool_]]:
-    """Row, column, near, far of every jump of one view, and whether a band lies in it.
+def _jumps(disparity: Floats, step_min_px: float, depth_step: float) -> tuple[_Jumps, _Jumps]:
+    """The jumps of one view at left and at right flanks.
 
     Neighbours are taken over holes: only matched pixels are compared. A jump counts if the hole
     is not wider than twice the jump and some pixels: geometry makes them equal.
     """
-    width, position, value, step = pixels
-    at = np.flatnonzero(step <= -step_min_px if toward_right else step >= step_min_px)
-    near_at, far_at = (at, at + 1) if toward_right else (at + 1, at)
-    near, far = value[near_at], value[far_at]
-    gap = position[at + 1] - position[at] - 1
+    width = disparity.shape[1]
+    position, gap, inner, one, two, outer = _steps(disparity.ravel(), step_min_px)
+    near, far = np.maximum(one, two), np.minimum(one, two)
     jump = near - far
-    row = position[near_at] // width
-    good = (row == position[far_at] // width) & (jump >= depth_step * near * far)
+    row = position // width
+    column = position - row * width
+    good = (column + gap < width - 1) & (jump >= depth_step * near * far)
     good &= gap <= 2.0 * jump + 4.0
     # a speck is no surface: the object goes on inward, and what is beside it stays farther
-    inward, outward = (1, -1) if not toward_right else (-1, 1)
-    last = len(value) - 1
-    goes_on = np.abs(value[np.clip(near_at + inward, 0, last)] - near) <= 1.0 + 0.03 * near
-    stays_far = value[np.clip(far_at + outward, 0, last)] <= near - 0.5 * jump
-    good &= goes_on & stays_far
-    near_at, near, far, gap, jump = near_at[good], near[good], far[good], gap[good], jump[good]
-    column = (position[near_at] - row[good] * width).astype(np.float32)
+    halfway = near - 0.5 * jump
+    left = (two > one) & (np.abs(outer - two) <= 1.0 + 0.03 * two) & (inner <= halfway)
+    right = (two < one) & (np.abs(inner - one) <= 1.0 + 0.03 * one) & (outer <= halfway)
     band = gap >= np.maximum(1.0, 0.4 * jump)
-    return row[good].astype(np.int32), column, near, far, band
+    sides = []
+    for side, at in enumerate((np.flatnonzero(good & left), np.flatnonzero(good & right))):
+        outermost = column[at] if side else column[at] + gap[at] + 1
+        sides.append(
+            _Jumps(
+                row[at].astype(np.int32),
+                outermost.astype(np.float32),
+                near[at],
+                far[at],
+                band[at],
+            )
+        )
+    return sides[0], sides[1]
+
+
+def _steps(
+    flat: Floats, step_min_px: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats, Floats]:
+    """Matched pixels that follow each other and differ by `step_min_px` or more, in reading order.
+
+    Returns the position of the first of the two, the width of the hole between them, and the
+    values of the matched pixel before them, of both, and of the one after them. Where nothing
+    comes before or after, that is the value of the first or of the second.
+    """
+    at = _breaks(flat, step_min_px)
+    one, two = flat.take(at), flat.take(at + 1)
+    # a hole begins at one break and ends at the next
+    first = np.flatnonzero(one > 0)
+    if len(first) and first[-1] == len(at) - 1 and two[-1] <= 0:
+        first = first[:-1]
+    second = first + (two.take(first) <= 0)
+    step = np.abs(two.take(second) - one.take(first))
+    big = np.flatnonzero(step >= step_min_px)
+    first, second = first.take(big), second.take(big)
+    before, after = at.take(first), at.take(second) + 1
+    value_one, value_two = one.take(first), two.take(second)
+    inner = flat.take(np.maximum(before - 1, 0))
+    outer = flat.take(np.minimum(after + 1, len(flat) - 1))
+    hole = np.flatnonzero(inner <= 0)
+    back = first.take(hole) - 2
+    inner[hole] = np.where(back >= 0, one.take(np.maximum(back, 0)), value_one.take(hole))
+    hole = np.flatnonzero(outer <= 0)
+    on = second.take(hole) + 2
+    last = len(at) - 1
+    outer[hole] = np.where(on <= last, two.take(np.minimum(on, last)), value_two.take(hole))
+    return before, after - before - 1, inner, value_one, value_two, outer
+
+
+def _breaks(flat: Floats, step_min_px: float) -> NDArray[np.int64]:
+    """Positions after which a hole begins or ends, or a matched pixel follows that may differ.
+
+    A little too many jumps are returned, never too few.
+    """
+    last = len(flat) - 1
+    breaks = np.zeros(-(-max(last, 0) // 8) * 8, dtype=np.bool_)
+    for begin in range(0, last, _STRIP_PIXELS):
+        end = min(begin + _STRIP_PIXELS, last)
+        step = np.abs(flat[begin + 1 : end + 1] - flat[begin:end])
+        matched = flat[begin : end + 1] > 0
+        out = breaks[begin:end]
+        np.greater_equal(step, 0.99 * step_min_px, out=out)
+        out &= matched[1:]
+        out |= matched[1:] != matched[:-1]
+    # few are set: looking at eight at once is faster
+    words = breaks.view(np.int64)
+    eights = np.flatnonzero(words != 0)
+    at = np.flatnonzero(words.take(eights).view(np.bool_))
+    return eights.take(at >> 3) * 8 + (at & 7)
