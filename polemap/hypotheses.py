@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
+from polemap.components import components
 from polemap.config import DetectionConfig
 from polemap.ground import Ground
 from stereo.depth_edges import DepthEdges
@@ -26,6 +25,10 @@ Ints = NDArray[np.int64]
 
 _ROWS_APART = 4  # slices are linked over so many looked-at rows
 _REACH_PX = 3  # and so many columns
+_DOWN = np.repeat(np.arange(1, _ROWS_APART + 1), 2 * _REACH_PX + 1)
+_ASIDE = np.tile(np.arange(-_REACH_PX, _REACH_PX + 1), _ROWS_APART)
+_SLICES_MIN = 3  # of a stem
+_RANKS = 6  # right flanks that are tried for a left one
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +96,18 @@ def find_slices(
     key_right = right.row_px * stride + right.column_px
     partner = np.full(len(left), -1)
     first = np.searchsorted(key_right, key_left - 0.5)
-    for rank in range(6):
-        at = np.minimum(first + rank, max(len(right) - 1, 0))
-        if not len(right):
-            break
-        width = right.column_px[at] - left.column_px + 1.0
-        alike = np.abs(right.near_px[at] - left.near_px) <= 1.0 + 0.04 * left.near_px
-        same = (right.row_px[at] == left.row_px) & (first + rank < len(right))
-        metric = width * rig.baseline_m / left.near_px
-        good = same & alike & (metric <= 1.3 * config.width_max_m) & (partner < 0)
-        partner[good] = at[good]
+    right_rows = np.append(right.row_px, -1)  # beyond the last there is none
+    open_ = np.arange(len(left))  # no partner yet, and there may be one farther right
+    for rank in range(_RANKS):
+        at = np.minimum(first[open_] + rank, len(right))
+        same = right_rows[at] == left.row_px[open_]
+        open_, at = open_[same], at[same]
+        near = left.near_px[open_]
+        width = right.column_px[at] - left.column_px[open_] + 1.0
+        within = width * rig.baseline_m / near <= 1.3 * config.width_max_m
+        alike = within & (np.abs(right.near_px[at] - near) <= 1.0 + 0.04 * near)
+        partner[open_[alike]] = at[alike]
+        open_ = open_[within & ~alike]
     one = np.flatnonzero(partner >= 0)
     two = partner[one]
     disparity = 0.5 * (left.near_px[one] + right.near_px[two]).astype(np.float64)
@@ -126,11 +131,12 @@ def find_stems(slices: Slices, ground: Ground, rig: StereoRig, config: Detection
     if len(slices.row_px) == 0:
         return _fit(slices, np.empty(0, dtype=np.int64), 0)
     label, count = _link(slices, rig, config)
+    # what has too few slices before outliers are left out has too few after, too
+    label, count = _renumber(label, np.bincount(label, minlength=count) >= _SLICES_MIN)
     stems = _fit(slices, label, count)
     tall = (stems.bottom_px - stems.top_px) * rig.baseline_m / stems.disparity_px
-    enough = (stems.slices >= 3) & (tall >= 0.5 * config.height_min_m)
-    renumber = np.where(enough, np.cumsum(enough) - 1, -1)
-    stems, label = stems.take(enough), renumber[label]
+    enough = (stems.slices >= _SLICES_MIN) & (tall >= 0.5 * config.height_min_m)
+    stems, (label, count) = stems.take(enough), _renumber(label, enough)
     if len(stems) == 0:
         return stems
     merged, count = _join(stems, rig, config)
@@ -138,71 +144,83 @@ def find_stems(slices: Slices, ground: Ground, rig: StereoRig, config: Detection
     return _keep(_fit(slices, label, count), ground, rig, config)
 
 
+def _renumber(label: Ints, keep: NDArray[np.bool_]) -> tuple[Ints, int]:
+    """Labels without the groups that are not kept; their members get -1."""
+    number = np.where(keep, np.cumsum(keep) - 1, -1)
+    number = np.append(number, -1)  # what -1 points to
+    return number[label], int(np.count_nonzero(keep))
+
+
 def _link(slices: Slices, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, int]:
     """Components of slices that follow each other in neighbouring rows."""
     n = len(slices.row_px)
-    row = (slices.row_px / config.row_step_px).astype(np.int64) + _ROWS_APART
+    row = (slices.row_px / config.row_step_px).astype(np.int64)
+    row -= row.min()
     centre = 0.5 * (slices.left_px + slices.right_px)
     column = np.round(centre).astype(np.int64) + _REACH_PX
-    width = rig.width_px + 2 * _REACH_PX + 2
-    cells = np.full((int(row.max()) + _ROWS_APART + 1) * width, -1, dtype=np.int64)
-    at = row * width + column
+    stride = rig.width_px + 2 * _REACH_PX + 2
+    cells = np.full((int(row.max()) + _ROWS_APART + 1) * stride, -1, dtype=np.int32)
+    at = row * stride + column
     cells[at] = np.arange(n)
-    down, aside = np.meshgrid(
-        np.arange(1, _ROWS_APART + 1), np.arange(-_REACH_PX, _REACH_PX + 1), indexing="ij"
-    )
-    other = cells[at[:, None] + (down * width + aside).ravel()]
-    one, which = np.nonzero(other >= 0)
-    two = other[one, which]
-    alike = np.abs(slices.disparity_px[one] - slices.disparity_px[two]) <= (
-        0.75 + 0.03 * slices.disparity_px[one]
-    )
-    w1 = slices.right_px[one] - slices.left_px[one] + 1.0
-    w2 = slices.right_px[two] - slices.left_px[two] + 1.0
+    other = cells.take(at[:, None] + (_DOWN * stride + _ASIDE)).ravel()
+    hit = np.flatnonzero(other >= 0)
+    one, two = hit // len(_DOWN), other.take(hit).astype(np.int64)
+    width = slices.right_px - slices.left_px + 1.0
+    d1, d2, w1, w2 = (v.take(i) for v in (slices.disparity_px, width) for i in (one, two))
+    alike = np.abs(d1 - d2) <= 0.75 + 0.03 * d1
     alike &= np.maximum(w1, w2) <= 1.5 * np.minimum(w1, w2) + 2.0
-    one, two = one[alike], two[alike]
-    graph = coo_matrix((np.ones(len(one), dtype=np.int8), (one, two)), shape=(n, n))
-    count, label = connected_components(graph, directed=False)
-    return label.astype(np.int64), int(count)
+    return components(n, one[alike], two[alike])
 
 
 def _fit(slices: Slices, label: Ints, count: int) -> Stems:
     """Line, width and scatter of every group; slices with label -1 are left out."""
-    centre = 0.5 * (slices.left_px + slices.right_px)
-    width = slices.right_px - slices.left_px + 1.0
-    use = label >= 0
-    weight: Floats = use.astype(np.float64)
-    safe = np.where(use, label, 0)
+    used = np.flatnonzero(label >= 0)
+    label = label[used]
+    row, left, right = slices.row_px[used], slices.left_px[used], slices.right_px[used]
+    centre = 0.5 * (left + right)
+    width = right - left + 1.0
+    disparity = slices.disparity_px[used]
+    n_used = len(used)
+    weight = np.ones(n_used)
+    plain = np.concatenate([weight, row, centre, width, disparity]).reshape(5, n_used)
+    place = (label + count * np.arange(len(plain))[:, None]).ravel()
 
-    def total(values: Floats) -> Floats:
-        sums = np.bincount(safe, weights=values * weight, minlength=count)[:count]
-        return sums.astype(np.float64)
+    def totals(values: Floats) -> Floats:
+        """Weighted sums of `(k, n)` over every group, `(k, count)`, in a single pass."""
+        k = len(values)
+        weighted = (values * weight).ravel()
+        sums = np.bincount(place[: k * n_used], weights=weighted, minlength=k * count)
+        return sums.astype(np.float64, copy=False).reshape(k, count)
 
+    moments, off = np.empty((2, n_used)), np.empty((3, n_used))
     for sweep in range(3):
-        n = np.maximum(total(np.ones_like(centre)), 1.0)
-        row0 = total(slices.row_px) / n
-        column0 = total(centre) / n
-        dv = slices.row_px - row0[safe] if count else slices.row_px
-        spread = total(dv * dv)
-        slope = total(dv * centre) / np.maximum(spread, 1.0)
+        sums = totals(plain)
+        n = np.maximum(sums[0], 1.0)
+        row0, column0, mean_width, mean_disparity = sums[1:] / n
+        dv = row - row0[label]
+        np.multiply(dv, dv, out=moments[0])
+        np.multiply(dv, centre, out=moments[1])
+        spread, slope = totals(moments)
+        slope = slope / np.maximum(spread, 1.0)
         # a short stem says little about its lean: the upright prior shrinks the slope
         slope = slope * spread / (spread + 200.0)
-        mean_width = total(width) / n
-        mean_disparity = total(slices.disparity_px) / n
-        off_centre = centre - column0[safe] - slope[safe] * dv if count else centre
-        off_width = width - mean_width[safe] if count else width
-        off_disparity = slices.disparity_px - mean_disparity[safe] if count else width
-        if sweep < 2 and count:
-            sd_c = np.sqrt(total(off_centre**2) / n)[safe]
-            sd_w = np.sqrt(total(off_width**2) / n)[safe]
-            inlier = use & (np.abs(off_centre) <= 2.0 * sd_c + 0.6)
-            weight = (inlier & (np.abs(off_width) <= 2.0 * sd_w + 0.6)).astype(np.float64)
-    big = np.where(weight > 0, slices.row_px, -np.inf)
-    bottom = np.full(count, -np.inf)
-    top = np.full(count, np.inf)
-    if count:
-        np.maximum.at(bottom, safe, big)
-        np.minimum.at(top, safe, np.where(weight > 0, slices.row_px, np.inf))
+        np.subtract(centre - column0[label], slope[label] * dv, out=off[0])
+        np.subtract(width, mean_width[label], out=off[1])
+        np.subtract(disparity, mean_disparity[label], out=off[2])
+        sd = np.sqrt(totals(off * off) / n)
+        if sweep < 2:
+            limit = 2.0 * sd[:2] + 0.6
+            inlier = np.abs(off[0]) <= limit[0].take(label)
+            inlier &= np.abs(off[1]) <= limit[1].take(label)
+            weight = inlier.astype(np.float64)
+    bottom, top = np.full(count, -np.inf), np.full(count, np.inf)
+    inside = np.flatnonzero(weight)
+    np.maximum.at(bottom, label[inside], row[inside])
+    np.minimum.at(top, label[inside], row[inside])
+    sides = [slices.far_left_px, slices.far_right_px]
+    sides += [slices.occluding_left, slices.occluding_right]
+    beside = np.concatenate([values[used] for values in sides]).reshape(4, n_used)
+    far_left, far_right, occluding_left, occluding_right = totals(beside) / n
     return Stems(
         column_px=column0,
         row_px=row0,
@@ -212,13 +230,13 @@ def _fit(slices: Slices, label: Ints, count: int) -> Stems:
         bottom_px=bottom,
         disparity_px=mean_disparity,
         slices=n,
-        centre_sd_px=np.sqrt(total(off_centre**2) / n),
-        width_sd_px=np.sqrt(total(off_width**2) / n),
-        disparity_sd_px=np.sqrt(total(off_disparity**2) / n),
-        far_left_px=total(slices.far_left_px) / n,
-        far_right_px=total(slices.far_right_px) / n,
-        occluding_left=total(slices.occluding_left) / n,
-        occluding_right=total(slices.occluding_right) / n,
+        centre_sd_px=sd[0],
+        width_sd_px=sd[1],
+        disparity_sd_px=sd[2],
+        far_left_px=far_left,
+        far_right_px=far_right,
+        occluding_left=occluding_left,
+        occluding_right=occluding_right,
     )
 
 
@@ -243,8 +261,7 @@ def _join(stems: Stems, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, 
     wide = np.maximum(stems.width_px[:, None], stems.width_px[None, :])
     thin = np.minimum(stems.width_px[:, None], stems.width_px[None, :])
     link = lower & alike & (miss <= scale) & (gap_m <= 1.5) & (wide <= 1.6 * thin + 1.5)
-    count, label = connected_components(coo_matrix(link), directed=False)
-    return label.astype(np.int64), int(count)
+    return components(len(stems), *np.nonzero(link))
 
 
 def _keep(stems: Stems, ground: Ground, rig: StereoRig, config: DetectionConfig) -> Stems:
