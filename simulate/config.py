@@ -24,6 +24,8 @@ class CameraConfig(_Section):
 
     Image noise is given in electrons: `full_well_e` at the white level sets the shot noise. Light
     that an exposure of `largest_exposure` cannot gather is made up by gain, noise included.
+    `calibration_error_deg` is the standard deviation about each axis: the rectified pairs of KITTI
+    are 0.2 to 0.3 px out of true vertically, colour and grey.
     Without a frame rate the scenario's is used.
     """
 
@@ -47,7 +49,7 @@ class CameraConfig(_Section):
     vignetting: Share = 0.18
     right_gain_sd: NotNegative = 0.06
     right_offset_sd: NotNegative = 0.006
-    calibration_error_deg: NotNegative = 0.004
+    calibration_error_deg: NotNegative = 0.02
     largest_exposure: Positive = 6.0
 
     def rig(self) -> StereoRig:
