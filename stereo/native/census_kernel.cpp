@@ -8,8 +8,9 @@
 // Source: Hirschmueller, TPAMI 2008 (path recursion); Spangenberg et al., IV 2014 (P2 that falls
 // with the intensity step).
 
-#include "census_kernel.hpp"
+#include "aggregation.hpp"
 #include "disparity_checks.hpp"
+#include "map_pool.hpp"
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -18,199 +19,16 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <functional>
 #include <mutex>
-#include <optional>
+#include <memory>
 #include <stdexcept>
 #include <string>
-#include <thread>
 #include <vector>
-
-#define KERNEL_NAMESPACE baseline
-#define KERNEL_TARGET
-#define KERNEL_BYTES 16
-#include "census_kernel_body.hpp"
-#undef KERNEL_NAMESPACE
-#undef KERNEL_TARGET
-#undef KERNEL_BYTES
-
-#if defined(__x86_64__) && defined(__GNUC__)
-#define CENSUS_HAS_X86_VARIANTS 1
-#define KERNEL_NAMESPACE avx2
-#define KERNEL_TARGET __attribute__((target("avx2,bmi,bmi2,lzcnt,popcnt")))
-#define KERNEL_BYTES 32
-#include "census_kernel_body.hpp"
-#undef KERNEL_NAMESPACE
-#undef KERNEL_TARGET
-#undef KERNEL_BYTES
-
-#if defined(__clang__)
-#define CENSUS_WIDE ""
-#else
-#define CENSUS_WIDE ",prefer-vector-width=512"
-#endif
-#define KERNEL_NAMESPACE avx512
-#define KERNEL_TARGET                                                                 \
-  __attribute__((target("avx2,bmi,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vl,avx512dq," \
-                        "avx512bitalg,avx512vpopcntdq,avx512vbmi" CENSUS_WIDE)))
-#define KERNEL_HAS_BYTE_POPCOUNT 1
-#define KERNEL_BYTES 64
-#include "census_kernel_body.hpp"
-#undef KERNEL_NAMESPACE
-#undef KERNEL_TARGET
-#undef KERNEL_BYTES
-#undef KERNEL_HAS_BYTE_POPCOUNT
-#endif
 
 namespace py = pybind11;
 
 namespace census {
 namespace {
-
-struct Loops {
-  const char* name;
-  decltype(&baseline::smooth) smooth;
-  decltype(&baseline::census_transform) census_transform;
-  decltype(&baseline::first_pass) first_pass;
-  decltype(&baseline::second_pass) second_pass;
-  decltype(&baseline::check_rows) check_rows;
-  decltype(&baseline::median_rows) median_rows;
-};
-
-std::vector<Loops> supported_loops() {
-  std::vector<Loops> found;
-#if defined(CENSUS_HAS_X86_VARIANTS)
-  __builtin_cpu_init();
-  if (__builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
-      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bitalg") &&
-      __builtin_cpu_supports("avx512vpopcntdq") && __builtin_cpu_supports("avx512vbmi"))
-    found.push_back({"avx512", avx512::smooth, avx512::census_transform, avx512::first_pass,
-                     avx512::second_pass, avx512::check_rows, avx512::median_rows});
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"))
-    found.push_back({"avx2", avx2::smooth, avx2::census_transform, avx2::first_pass,
-                     avx2::second_pass, avx2::check_rows, avx2::median_rows});
-#endif
-  found.push_back(
-      {"baseline", baseline::smooth, baseline::census_transform, baseline::first_pass,
-                     baseline::second_pass, baseline::check_rows, baseline::median_rows});
-  return found;
-}
-
-Loops choose_loops(const std::string& name) {
-  const auto all = supported_loops();
-  if (name == "auto") return all.front();
-  for (const Loops& loops : all)
-    if (name == loops.name) return loops;
-  throw std::invalid_argument("this machine has no instruction set '" + name + "'");
-}
-
-// Runs the jobs side by side; an exception of any of them comes out here.
-void run_together(const std::vector<std::function<void()>>& jobs, bool threads) {
-  if (!threads) {
-    for (const auto& job : jobs) job();
-    return;
-  }
-  std::vector<std::exception_ptr> errors(jobs.size());
-  std::vector<std::thread> others;
-  const auto guarded = [&](std::size_t i) {
-    try {
-      jobs[i]();
-    } catch (...) {
-      errors[i] = std::current_exception();
-    }
-  };
-  for (std::size_t i = 1; i < jobs.size(); ++i) others.emplace_back(guarded, i);
-  guarded(0);
-  for (std::thread& other : others) other.join();
-  for (const std::exception_ptr& error : errors)
-    if (error) std::rethrow_exception(error);
-}
-
-// One aggregation: from two images to the winners of one view or of both.
-class Aggregation {
- public:
-  void prepare(const Problem& p) {
-    const std::size_t rows = p.height;
-    for (View* view : {&left_, &right_}) {
-      view->pixels.resize(rows * p.pixel_stride());
-      view->scratch.resize(2 * p.pixel_stride());
-      view->planes.resize(3 * rows * p.plane_stride() + kLanes);
-    }
-    volume_.bytes.resize(rows * p.volume_stride());
-    const std::size_t columns = p.columns(), depth = p.disparities;
-    const std::size_t path = (depth + 2) * p.pixel_stride();
-    for (Scratch& s : halves_) {
-      for (int k = 0; k < p.vertical_paths; ++k) {
-        s.previous[k].resize(path);
-        s.current[k].resize(path);
-      }
-      s.minima.resize(6 * p.pixel_stride());
-      s.penalties.resize(3 * p.pixel_stride());
-      s.cost.resize(depth * kLanes);
-      s.excess.resize(depth * kLanes);
-      s.sums.resize(depth * p.sum_stride() + kLanes);
-      s.winners.resize(5 * columns);
-      s.strip_planes.resize(6 * columns * kStripRows);
-      s.strip_penalty.resize((columns + 1) * kStripRows);
-      s.strip_state.resize((depth + 4) * kStripRows);
-      s.strip_block.resize(kStripRows * std::max(columns, kTurned * (depth + 1)));
-      s.strip_first.resize(columns * (depth + 1) * kStripRows);
-      s.strip_sum.resize(kStripRows * p.volume_stride());
-    }
-  }
-
-  // Copies an image into its padded rows; `flip` mirrors it.
-  template <typename T>
-  static void load(const Problem& p, View& view, const T* image, bool flip) {
-    for (int y = 0; y < p.height; ++y) {
-      const T* source = image + static_cast<std::size_t>(y) * p.width;
-      u16* row = view.pixels.get() + static_cast<std::size_t>(y) * p.pixel_stride();
-      u16* target = row + kLanes;
-      if (flip)
-        for (int x = 0; x < p.width; ++x) target[x] = source[p.width - 1 - x];
-      else
-        for (int x = 0; x < p.width; ++x) target[x] = source[x];
-      std::fill(row, target, target[0]);
-      std::fill(target + p.width, row + p.pixel_stride(), target[p.width - 1]);
-    }
-  }
-
-  template <typename T>
-  void run(const Problem& p, const Loops& loops, const T* left, const T* right, bool flip,
-           bool threads, Maps maps) {
-    prepare(p);
-    const int middle = p.height / 2;
-    const auto prepare_view = [&](View& view, const T* image) {
-      load(p, view, image, flip);
-      loops.smooth(p, view);
-      loops.census_transform(p, view);
-    };
-    run_together({[&] { prepare_view(left_, left); }, [&] { prepare_view(right_, right); }},
-                 threads);
-    u8* volume = volume_.bytes.get();
-    const int top_rows = middle, bottom_rows = p.height - middle;
-    run_together(
-        {[&] { loops.first_pass(p, left_, right_, 0, middle, 1, halves_[0], volume); },
-         [&] {
-           loops.first_pass(p, left_, right_, p.height - 1, middle - 1, -1, halves_[1], volume);
-         }},
-        threads);
-    run_together({[&] {
-                    loops.second_pass(p, left_, right_, middle, p.height, 1, top_rows & 1,
-                                      halves_[0], volume, maps);
-                  },
-                  [&] {
-                    loops.second_pass(p, left_, right_, middle - 1, -1, -1, bottom_rows & 1,
-                                      halves_[1], volume, maps);
-                  }},
-                 threads);
-  }
-
- private:
-  View left_, right_;
-  Volume volume_;
-  Scratch halves_[2];
-};
 
 class CensusMatcher {
  public:
@@ -256,7 +74,7 @@ class CensusMatcher {
     problem_.subpixel = static_cast<Subpixel>(subpixel);
     problem_.across = {across[0], across[1], across[2], across[3]};
     problem_.upright = {upright[0], upright[1], upright[2], upright[3]};
-    problem_.cost_weight = static_cast<i16>(cost_weight);
+    problem_.cost_weight = cost_weight;
     problem_.smoothing = static_cast<Smoothing>(smoothing);
     // a sum is 4 times the grey value, or 16 times; P2 is meant for grey values
     const int gained = std::min(2 * smoothing, 16 - bits);
@@ -276,10 +94,11 @@ class CensusMatcher {
     const py::ssize_t height = left.shape(0), width = left.shape(1);
     if (height > 32768 || width > 32768)
       throw std::invalid_argument("the census matcher takes images up to 32768 x 32768");
-    const std::vector<py::ssize_t> shape = {height, width};
-    py::array_t<float> found[2] = {py::array_t<float>(shape), py::array_t<float>(shape)};
-    py::array_t<float> checked[2] = {py::array_t<float>(shape), py::array_t<float>(shape)};
-    py::array_t<u8> margins[2] = {py::array_t<u8>(shape), py::array_t<u8>(shape)};
+    py::array_t<float> found[2] = {maps_->take<float>(height, width),
+                                   maps_->take<float>(height, width)};
+    py::array_t<float> checked[2] = {maps_->take<float>(height, width),
+                                     maps_->take<float>(height, width)};
+    py::array_t<u8> margins[2] = {maps_->take<u8>(height, width), maps_->take<u8>(height, width)};
     float* raw[2] = {found[0].mutable_data(), found[1].mutable_data()};
     float* out[2] = {checked[0].mutable_data(), checked[1].mutable_data()};
     u8* margin[2] = {margins[0].mutable_data(), margins[1].mutable_data()};
@@ -352,6 +171,7 @@ class CensusMatcher {
   Aggregation views_[2];
   Buffer<u8> unique_[2];
   Buffer<float> median_buffer_[2];
+  std::shared_ptr<MapPool> maps_ = std::make_shared<MapPool>();
 };
 
 }  // namespace

@@ -15,7 +15,6 @@ namespace census {
 
 using u8 = std::uint8_t;
 using u16 = std::uint16_t;
-using i16 = std::int16_t;
 using u32 = std::uint32_t;
 
 // Every inner loop runs over this many bytes: one AVX-512 register, two of AVX2, four of SSE2.
@@ -24,7 +23,6 @@ constexpr int kLanes = 64;
 // for the second stays in the cache.
 constexpr int kStripRows = 32;
 constexpr int kTurned = 32;  // columns that are turned into rows together
-constexpr i16 kNoSum = 0x7FFF;
 
 // The compilers' portable vectors, for the transposition of bytes only: no loop expresses it.
 typedef u8 Bytes16 __attribute__((vector_size(16)));
@@ -59,6 +57,7 @@ class Buffer {
     count_ = count;
   }
   T* get() const { return data_.get(); }
+  std::size_t count() const { return count_; }
 
  private:
   struct Free {
@@ -91,7 +90,7 @@ struct Problem {
   int disparities, offset;  // searched: offset ... offset + disparities - 1
   int vertical_paths;       // 1 (4 paths in all) or 3 (8 paths)
   int uniqueness_percent;
-  i16 cost_weight;          // how often the matching cost itself counts beside the excesses
+  int cost_weight;          // how often the matching cost itself counts beside the excesses
   u8 p1, outside_cost;
   Subpixel subpixel;
   Pair pairs[24];
@@ -105,7 +104,18 @@ struct Problem {
   int plane_stride() const { return guard() + columns() + kLanes; }
   // an odd number of cache lines, so that the rows of a state do not share cache sets
   int pixel_stride() const { return ((columns() / kLanes + 2) | 1) * kLanes; }
-  int sum_stride() const { return columns() + kLanes; }
+  int score_stride() const { return columns() + kLanes; }
+  // of the path costs of a row: a block of zeros left of the image, one of slack, guards
+  int state_stride() const { return ((columns() / kLanes + 3) | 1) * kLanes; }
+  std::size_t state_size() const {
+    return static_cast<std::size_t>(disparities + 2) * state_stride();
+  }
+  std::size_t strip_column() const {
+    return static_cast<std::size_t>(disparities + 1) * kStripRows;
+  }
+  std::size_t strip_state_size() const {
+    return static_cast<std::size_t>(disparities + 4) * kStripRows;
+  }
   // an odd number of cache lines a row, so that rows do not fall into the same cache sets
   std::size_t volume_stride() const {
     return static_cast<std::size_t>(disparities) * columns() + kLanes;
@@ -127,25 +137,25 @@ struct Volume {
 
 // What one thread needs for its half of the image.
 struct Scratch {
-  Buffer<u8> previous[3], current[3];  // path costs of two rows, (disparities + 2) x pixel_stride
-  Buffer<u8> minima;                   // 2 x 3 x pixel_stride
-  Buffer<u8> penalties;                // 3 x pixel_stride: P2, then minimum + P2
-  Buffer<u8> cost, excess;             // of one block, disparities x kLanes
-  Buffer<i16> sums;                    // disparities x sum_stride
-  Buffer<i16> winners;                 // five rows, see Winners
-  Buffer<u8> strip_planes;             // census bytes of a strip, columns by rows
+  Buffer<u8> paths;          // path costs of a row, see state_column; three of state_size
+  Buffer<u8> minima;         // 2 x 3 x pixel_stride
+  Buffer<u8> penalties;      // 3 x pixel_stride: minimum + P2
+  Buffer<u8> cost, excess;   // of one block, disparities x kLanes
+  Buffer<u8> scores;         // disparities x score_stride
+  Buffer<u8> winners;        // five rows, see Winners
+  Buffer<u8> strip_planes;   // census bytes of a strip, columns by rows
   Buffer<u8> strip_penalty;
-  Buffer<u8> strip_state, strip_block;
-  Buffer<u8> strip_first;              // left-to-right path of a strip
-  Buffer<u8> strip_sum;                // both horizontal paths of a strip, by rows
+  Buffer<u8> strip_states;   // path from the left at every kTurned columns, path from the right
+  Buffer<u8> strip_block;    // kTurned columns: excesses, then costs
+  Buffer<u8> strip_sum;      // both horizontal paths of a strip, by rows
 };
 
-// Of each pixel of a row: least sum, its disparity index, the sums beside it, the least sum that is
-// no neighbour.
+// Of each pixel of a row: the largest score, its disparity index, the scores beside it, and the
+// largest score that is no neighbour.
 struct Winners {
-  i16 *best, *at, *below, *above, *second;
+  u8 *best, *at, *below, *above, *second;
 
-  static Winners in(i16* memory, int columns) {
+  static Winners in(u8* memory, int columns) {
     return {memory, memory + columns, memory + 2 * columns, memory + 3 * columns,
             memory + 4 * columns};
   }

@@ -12,12 +12,15 @@
 namespace census {
 namespace KERNEL_NAMESPACE {
 
-#define KERNEL_FN KERNEL_TARGET static
+#define KERNEL_FN KERNEL_TARGET __attribute__((noinline)) static
 #define KERNEL_INLINE KERNEL_TARGET static inline __attribute__((always_inline))
 
 #include "kernel_views.hpp"
-#include "kernel_paths.hpp"
+#include "kernel_costs.hpp"
+#include "kernel_vertical.hpp"
+#include "kernel_horizontal.hpp"
 #include "kernel_winners.hpp"
+#include "kernel_passes.hpp"
 #include "kernel_checks.hpp"
 
 #undef KERNEL_FN

@@ -2,7 +2,7 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
+#include <cstring>
 #include <utility>
 #include <vector>
 
@@ -17,87 +17,96 @@ class SpeckleFilter {
  public:
   void run(float* map, int width, int height, int least_px, int tall_rows, float step_px) {
     if (least_px <= 1) return;
-    components_.clear();
-    components_.push_back({0, 0, 0, 0});  // what has no disparity
-    labels_.resize(static_cast<std::size_t>(width) * height);
-    left_.resize(round_up(width, kLanes));
-    above_.resize(round_up(width, kLanes));
-    for (int y = 0; y < height; ++y) label_row(map, width, y, step_px);
-    keep_.assign(components_.size(), 1);
-    for (std::uint32_t label = 1; label < components_.size(); ++label) {
-      const Component& root = components_[find(label)];
-      keep_[label] = root.size >= least_px || root.last_row - root.first_row + 1 >= tall_rows;
+    runs_.clear();
+    first_of_row_.clear();
+    breaks_.resize(round_up(width + 1, 8));
+    above_.resize(width);
+    for (int y = 0; y < height; ++y) {
+      first_of_row_.push_back(runs_.size());
+      const float* row = map + static_cast<std::size_t>(y) * width;
+      find_runs(row, width, y, step_px);
+      if (y > 0) join_rows(row, row - width, width, step_px);
     }
-    const std::size_t size = static_cast<std::size_t>(width) * height;
-    const std::uint32_t* labels = labels_.get();
-    const float gone = __builtin_nanf("");
-    for (std::size_t i = 0; i < size; ++i) map[i] = keep_[labels[i]] != 0 ? map[i] : gone;
+    first_of_row_.push_back(runs_.size());
+    for (int y = 0; y < height; ++y) {
+      float* row = map + static_cast<std::size_t>(y) * width;
+      for (std::size_t i = first_of_row_[y]; i < first_of_row_[y + 1]; ++i) {
+        const Run& root = runs_[find(i)];
+        if (root.size >= least_px || root.last_row - root.first_row + 1 >= tall_rows) continue;
+        std::fill(row + runs_[i].begin, row + runs_[i].end, __builtin_nanf(""));
+      }
+    }
   }
 
  private:
-  struct Component {
-    std::uint32_t parent;
-    int size, first_row, last_row;
+  // Connected pixels of a row, and what is known of their component if they are its root.
+  struct Run {
+    std::size_t parent;
+    int begin, end, size, first_row, last_row;
   };
 
-  std::uint32_t find(std::uint32_t label) {
-    while (components_[label].parent != label) {
-      components_[label].parent = components_[components_[label].parent].parent;
-      label = components_[label].parent;
+  std::size_t find(std::size_t run) {
+    while (runs_[run].parent != run) {
+      runs_[run].parent = runs_[runs_[run].parent].parent;
+      run = runs_[run].parent;
     }
-    return label;
+    return run;
   }
 
-  void join(std::uint32_t one, std::uint32_t other) {
+  void join(std::size_t one, std::size_t other) {
     one = find(one);
     other = find(other);
     if (one == other) return;
     if (other < one) std::swap(one, other);  // the older one has the smaller first row
-    Component& root = components_[one];
-    root.size += components_[other].size;
-    root.last_row = std::max(root.last_row, components_[other].last_row);
-    components_[other].parent = one;
+    Run& root = runs_[one];
+    root.size += runs_[other].size;
+    root.last_row = std::max(root.last_row, runs_[other].last_row);
+    runs_[other].parent = one;
   }
 
-  // Runs of one row become components, and join those of the row above that they touch.
-  void label_row(const float* map, int width, int y, float step_px) {
-    const float* row = map + static_cast<std::size_t>(y) * width;
-    const float* up = y > 0 ? row - width : row;
-    std::uint32_t* labels = labels_.get() + static_cast<std::size_t>(y) * width;
-    const std::uint32_t* labels_up = y > 0 ? labels - width : labels;
-    u8* left = left_.get();
-    u8* above = above_.get();
-    left[0] = 0;
-    for (int x = 1; x < width; ++x) left[x] = __builtin_fabsf(row[x] - row[x - 1]) <= step_px;
-    for (int x = 0; x < width; ++x) above[x] = __builtin_fabsf(row[x] - up[x]) <= step_px;
-    std::uint32_t label = 0, joined = 0;
-    bool fresh = true;  // nothing of the row above joined to this run yet
-    for (int x = 0; x < width; ++x) {
-      labels[x] = 0;
-      if (row[x] != row[x]) continue;
-      if (!left[x]) {
-        label = static_cast<std::uint32_t>(components_.size());
-        components_.push_back({label, 0, y, y});
-        fresh = true;
-      }
-      labels[x] = label;
-      ++components_[label].size;
-      if (y > 0 && above[x] && (fresh || labels_up[x] != joined)) {
-        joined = labels_up[x];
-        fresh = false;
-        pending_.push_back({label, joined});
+  void find_runs(const float* row, int width, int y, float step_px) {
+    u8* breaks = breaks_.get();  // 1 where a run begins, or what is not known
+    breaks[0] = row[0] == row[0];
+    for (int x = 1; x < width; ++x) {
+      const bool joined = __builtin_fabsf(row[x] - row[x - 1]) <= step_px;
+      breaks[x] = (!joined) & ((row[x] == row[x]) | (row[x - 1] == row[x - 1]));
+    }
+    std::memset(breaks + width, 0, breaks_.count() - width);
+    breaks[width] = 1;
+    int begin = -1;
+    for (int x = 0; x <= width; x += 8) {
+      std::uint64_t eight;
+      std::memcpy(&eight, breaks + x, sizeof(eight));
+      if (eight == 0) continue;
+      for (int at = x; at < x + 8 && at <= width; ++at) {
+        if (breaks[at] == 0) continue;
+        if (begin >= 0) runs_.push_back({runs_.size(), begin, at, at - begin, y, y});
+        begin = at < width && row[at] == row[at] ? at : -1;
       }
     }
-    // sizes are complete only now: a run must not move while it grows
-    for (const auto& pair : pending_) join(pair[0], pair[1]);
-    pending_.clear();
   }
 
-  std::vector<Component> components_;
-  std::vector<u8> keep_;
-  std::vector<std::array<std::uint32_t, 2>> pending_;
-  Buffer<std::uint32_t> labels_;
-  Buffer<u8> left_, above_;
+  // Joins the runs of the last row to those of the row above that they touch.
+  void join_rows(const float* row, const float* up, int width, float step_px) {
+    u8* above = above_.get();
+    for (int x = 0; x < width; ++x) above[x] = __builtin_fabsf(row[x] - up[x]) <= step_px;
+    std::size_t upper = first_of_row_[first_of_row_.size() - 2];
+    const std::size_t first = first_of_row_.back();
+    for (std::size_t lower = first; lower < runs_.size(); ++lower) {
+      while (upper < first && runs_[upper].end <= runs_[lower].begin) ++upper;
+      for (std::size_t other = upper; other < first && runs_[other].begin < runs_[lower].end;
+           ++other) {
+        const int begin = std::max(runs_[lower].begin, runs_[other].begin);
+        const int end = std::min(runs_[lower].end, runs_[other].end);
+        if (std::memchr(above + begin, 1, static_cast<std::size_t>(end - begin)) != nullptr)
+          join(lower, other);
+      }
+    }
+  }
+
+  std::vector<Run> runs_;
+  std::vector<std::size_t> first_of_row_;
+  Buffer<u8> breaks_, above_;
 };
 
 }  // namespace census

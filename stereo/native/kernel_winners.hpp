@@ -1,68 +1,105 @@
-// Sums over all paths, the winners of both views, and the two passes over the image.
-// A part of census_kernel_body.hpp.
+// Scores over all paths and the winners of both views. A part of census_kernel_body.hpp.
+//
+// A score is 255 minus the sum of the weighted cost and of what all paths add, and 0 for larger
+// sums and for pixels without a partner: the largest wins.
 
-// One register of sums.
-typedef i16 Words __attribute__((vector_size(KERNEL_BYTES)));
-constexpr int kWords = KERNEL_BYTES / 2;
-
-KERNEL_INLINE Words widened(const u8* place) {
-  typedef u8 Half __attribute__((vector_size(kWords)));
-  return __builtin_convertvector(load<Half>(place), Words);
+// What is above `addend`, in a subtraction that stops at zero.
+KERNEL_INLINE Bytes without(Bytes score, Bytes addend) {
+  return (score > addend ? score : addend) - addend;
 }
 
-// Sums of columns [x, x + kLanes) over all paths; pixels without a partner get kNoSum.
-KERNEL_FN void sum_block(const Problem& p, int x, const u8* first, const u8* second,
-                         const u8* horizontal, const u8* cost, i16* sums) {
-  const Words weight = Words{} + p.cost_weight;
-  for (int d = 0; d < p.disparities; ++d) {
-    i16* sum = sums + static_cast<std::size_t>(d) * p.sum_stride() + x;
-    for (int i = 0; i < kLanes; i += kWords) {
-      const int at = d * kLanes + i;
-      store<Words>(sum + i, widened(first + at) + widened(second + at) +
-                                widened(horizontal + at) + widened(cost + at) * weight);
+// The search for the largest score of pixels side by side, over rising disparities.
+struct Search {
+  Bytes best, at, below, above, second;  // as in Winners
+  Bytes last, earlier;                   // the score before, and the best of those before it
+  Bytes number, stays;                   // disparity index; ~0 where the last one did not win
+};
+
+KERNEL_INLINE void start_search(Search& s) {
+  s.best = s.at = s.below = s.above = s.second = s.last = s.earlier = s.number = Bytes{};
+  s.stays = ~Bytes{};
+}
+
+KERNEL_INLINE void try_next(Search& s, Bytes score) {
+  s.above = s.stays != 0 ? s.above : score;
+  const Bytes rival = score > s.second ? score : s.second;
+  s.second = s.stays != 0 ? rival : s.second;  // a neighbour is no rival
+  const Bytes best = score > s.best ? score : s.best;
+  s.stays = reinterpret_cast<Bytes>(best == s.best);
+  s.at = s.stays != 0 ? s.at : s.number;
+  s.below = s.stays != 0 ? s.below : s.last;
+  s.second = s.stays != 0 ? s.second : s.earlier;
+  s.earlier = s.best;
+  s.best = best;
+  s.last = score;
+  s.number += 1;
+}
+
+KERNEL_INLINE void end_search(const Search& s, const Winners& w, int x) {
+  store<Bytes>(w.best + x, s.best);
+  store<Bytes>(w.at + x, s.at);
+  store<Bytes>(w.below + x, s.below);
+  store<Bytes>(w.above + x, s.above);
+  store<Bytes>(w.second + x, s.second);
+}
+
+// Where what a pixel's score consists of lies, disparities x kLanes.
+struct Addends {
+  const u8 *first, *second, *horizontal, *cost;
+};
+
+// Scores of columns [x, x + kLanes), disparities `stride` apart, and the winners of the left view.
+template <bool kEdge>
+KERNEL_INLINE void score_lanes(const Problem& p, int x, const Addends& from, u8* scores,
+                               std::ptrdiff_t stride, const Winners& w) {
+  const int weight = p.cost_weight, disparities = p.disparities;
+  for (int lane = 0; lane < kLanes; lane += KERNEL_BYTES) {
+    u8 columns[KERNEL_BYTES];
+    for (int i = 0; i < KERNEL_BYTES; ++i) columns[i] = static_cast<u8>(lane + i);
+    const Bytes column = load<Bytes>(columns);
+    const int room = p.width - x;
+    const u8 inside = static_cast<u8>(room < kLanes ? room : kLanes);
+    Search search;
+    start_search(search);
+    for (int d = 0; d < disparities; ++d) {
+      const int at = d * kLanes + lane;
+      const Bytes cost = load<Bytes>(from.cost + at);
+      Bytes score = without(~load<Bytes>(from.first + at), load<Bytes>(from.second + at));
+      score = without(score, load<Bytes>(from.horizontal + at));
+      score = without(score, cost);
+      for (int i = 1; i < weight; ++i) score = without(score, cost);
+      if (kEdge) {
+        const int outside = d + p.offset - x;
+        const u8 begin = static_cast<u8>(outside < 0 ? 0 : (outside < kLanes ? outside : kLanes));
+        score = ((column >= begin) & (column < inside)) ? score : Bytes{};
+      }
+      store<Bytes>(scores + d * stride + lane, score);
+      try_next(search, score);
     }
-    const int outside = d + p.offset - x < kLanes ? d + p.offset - x : kLanes;
-    for (int i = 0; i < outside; ++i) sum[i] = kNoSum;
-    for (int i = p.width - x; i < kLanes; ++i) sum[i] = kNoSum;
+    end_search(search, w, x + lane);
   }
 }
 
-// Winners of columns [x, x + kLanes) of one view: least sum, its place, its neighbours, and the
-// least sum that is no neighbour. Sums of the right view lie on the diagonals x = xr + d.
-KERNEL_FN void find_winners(const Problem& p, const i16* sums, bool right, int x, Winners w) {
-  const std::ptrdiff_t step = p.sum_stride() + (right ? 1 : 0);
-  int count = p.disparities;
-  if (right) {
-    const int reach = p.width - p.offset - x;
-    count = reach < 0 ? 0 : (reach < count ? reach : count);
-    sums += p.offset;
-  }
-  const Words none = Words{} + kNoSum;
-  for (int lane = x; lane < x + kLanes; lane += kWords) {
-    const i16* column = sums + lane;
-    Words best = none, at = Words{}, below = none, above = none, last = none, won = Words{};
-    for (int d = 0; d < count; ++d) {
-      const Words sum = load<Words>(column + d * step);
-      above = won != 0 ? sum : above;  // the last one is the best so far
-      won = sum < best;
-      at = won != 0 ? Words{} + static_cast<i16>(d) : at;
-      below = won != 0 ? last : below;
-      above = won != 0 ? none : above;
-      best = sum < best ? sum : best;
-      last = sum;
-    }
-    Words second = none;
-    for (int d = 0; d < count; ++d) {
-      const Words distance = Words{} + static_cast<i16>(d) - at;
-      const Words near = (distance < 2) & (distance > -2);
-      const Words rival = load<Words>(column + d * step) | (near & none);
-      second = rival < second ? rival : second;
-    }
-    store<Words>(w.best + lane, best);
-    store<Words>(w.at + lane, at);
-    store<Words>(w.below + lane, below);
-    store<Words>(w.above + lane, above);
-    store<Words>(w.second + lane, second);
+KERNEL_FN void score_block(const Problem& p, int x, const Addends& from, u8* scores,
+                           std::ptrdiff_t stride, const Winners& w) {
+  if (x < p.offset + p.disparities - 1 || x + kLanes > p.width)
+    score_lanes<true>(p, x, from, scores, stride, w);
+  else
+    score_lanes<false>(p, x, from, scores, stride, w);
+}
+
+// Winners of columns [x, x + kLanes) of the right view, whose scores lie on the diagonals
+// x = xr + d of the left view's.
+KERNEL_FN void find_right_winners(const Problem& p, const u8* scores, int x, const Winners& w) {
+  const std::ptrdiff_t step = p.score_stride() + 1;
+  const int reach = p.width - p.offset - x;
+  const int count = reach < 0 ? 0 : (reach < p.disparities ? reach : p.disparities);
+  for (int lane = x; lane < x + kLanes; lane += KERNEL_BYTES) {
+    const u8* place = scores + p.offset + lane;
+    Search search;
+    start_search(search);
+    for (int d = 0; d < count; ++d) try_next(search, load<Bytes>(place + d * step));
+    end_search(search, w, lane);
   }
 }
 
@@ -79,110 +116,54 @@ KERNEL_INLINE float fraction_of(Subpixel kind, int below, int above) {
          static_cast<float>(40 * higher * higher);
 }
 
+// Where the results of a row go, and how many disparities a pixel of column x has: what is left of
+// first + x * slope, up to `most`.
+struct Row {
+  float* disparity;
+  u8 *margin, *unique;
+  int first, slope, most;
+};
+
 // Disparity, margin and uniqueness of a row, without branches.
 KERNEL_INLINE void write_row(const Winners& w, Subpixel kind, u32 keep, float offset, int width,
-                             float* __restrict disparity, u8* __restrict margin,
+                             const Row& row, float* __restrict disparity, u8* __restrict margin,
                              u8* __restrict unique) {
-  const i16* __restrict best_at = w.best;
-  const i16* __restrict place = w.at;
-  const i16* __restrict below_at = w.below;
-  const i16* __restrict above_at = w.above;
-  const i16* __restrict second = w.second;
+  const u8* __restrict best_at = w.best;
+  const u8* __restrict place = w.at;
+  const u8* __restrict below_at = w.below;
+  const u8* __restrict above_at = w.above;
+  const u8* __restrict second = w.second;
+  const int first = row.first, slope = row.slope, most = row.most;
   for (int x = 0; x < width; ++x) {
-    const int best = best_at[x], rival = second[x];
-    const bool known = best != kNoSum;
-    const int bend = below_at[x] + above_at[x] - 2 * best;
-    const int inside = (kind != Subpixel::none) & (below_at[x] != kNoSum) &
-                       (above_at[x] != kNoSum) & (bend > 0);
+    const int best = 255 - best_at[x], rival = 255 - second[x];
+    const int reach = first + slope * x < most ? first + slope * x : most;
+    const bool known = reach > 0;
+    const int rises = best_at[x] - below_at[x], falls = best_at[x] - above_at[x];
+    const int inside = (kind != Subpixel::none) & (place[x] > 0) & (place[x] + 1 < reach) &
+                       (rises + falls > 0);
     // equal sums give the fraction 0; a division under a condition would stop the vectoriser
-    const int below = ((below_at[x] - best) & -inside) + (1 - inside);
-    const int above = ((above_at[x] - best) & -inside) + (1 - inside);
+    const int below = (rises & -inside) + (1 - inside);
+    const int above = (falls & -inside) + (1 - inside);
     const float fraction = fraction_of(kind, below, above);
     const float unknown = known ? 0.0f : __builtin_nanf("");
     disparity[x] = static_cast<float>(place[x]) + offset + fraction + unknown;
     unique[x] = known & (static_cast<u32>(rival) * keep >= static_cast<u32>(best) * 100u);
-    const float share = static_cast<float>(255 * (rival - best)) /
+    const float share = static_cast<float>(known * 255 * (rival - best)) /
                         static_cast<float>(rival + (rival == 0));
     margin[x] = static_cast<u8>(static_cast<int>(share));
   }
 }
 
-KERNEL_FN void write_winners(const Problem& p, const Winners& w, float* disparity, u8* margin,
-                             u8* unique) {
+KERNEL_FN void write_winners(const Problem& p, const Winners& w, const Row& row) {
   const u32 keep = static_cast<u32>(100 - p.uniqueness_percent);
   const float offset = static_cast<float>(p.offset);
   // one loop for each kind, so that the compiler sees what each does
   if (p.subpixel == Subpixel::equiangular)
-    write_row(w, Subpixel::equiangular, keep, offset, p.width, disparity, margin, unique);
+    write_row(w, Subpixel::equiangular, keep, offset, p.width, row, row.disparity, row.margin,
+              row.unique);
   else if (p.subpixel == Subpixel::parabola)
-    write_row(w, Subpixel::parabola, keep, offset, p.width, disparity, margin, unique);
+    write_row(w, Subpixel::parabola, keep, offset, p.width, row, row.disparity, row.margin,
+              row.unique);
   else
-    write_row(w, Subpixel::none, keep, offset, p.width, disparity, margin, unique);
-}
-
-// First pass over a half: rows from `begin` (step +1 or -1) to the middle leave their excesses in
-// the volume.
-KERNEL_FN void first_pass(const Problem& p, const View& left, const View& right, int begin, int end,
-                          int step, Scratch& s, u8* volume) {
-  clear_paths(p, s);
-  int phase = 0;
-  for (int y = begin; y != end; y += step, phase ^= 1) {
-    const CensusRow row = census_row(p, left, right, y);
-    u8* excess = volume + static_cast<std::size_t>(y) * p.volume_stride();
-    path_penalties(p, left, y, y == begin ? y : y - step, s, phase);
-    for (int x = 0; x < p.columns(); x += kLanes) {
-      cost_block(p, row.left, row.right, x, s.cost.get());
-      vertical_block(p, x, s, phase, s.cost.get(),
-                     excess + static_cast<std::size_t>(x) * p.disparities);
-    }
-    end_row(p, s, phase);
-  }
-}
-
-// One row of the second pass: the last vertical paths, then sums and winners block by block.
-KERNEL_FN void finish_row(const Problem& p, const CensusRow& row, Scratch& s, int phase,
-                          const u8* volume, const u8* horizontal, const Winners& w) {
-  for (int x = 0; x < p.columns(); x += kLanes) {
-    const std::size_t block = static_cast<std::size_t>(x) * p.disparities;
-    for (int d = 0; d < p.disparities; ++d) {  // far away, and needed only after the paths
-      __builtin_prefetch(volume + block + d * kLanes);
-      __builtin_prefetch(horizontal + block + d * kLanes);
-    }
-    cost_block(p, row.left, row.right, x, s.cost.get());
-    vertical_block(p, x, s, phase, s.cost.get(), s.excess.get());
-    sum_block(p, x, volume + block, s.excess.get(), horizontal + block, s.cost.get(),
-              s.sums.get());
-    find_winners(p, s.sums.get(), false, x, w);
-  }
-  end_row(p, s, phase);
-}
-
-// Second pass: on through the other half, whose excesses are there by now, to the winners.
-KERNEL_FN void second_pass(const Problem& p, const View& left, const View& right, int begin,
-                           int end, int step, int phase, Scratch& s, const u8* volume, Maps maps) {
-  const Winners w = Winners::in(s.winners.get(), p.columns());
-  for (int d = 0; d < p.disparities; ++d)  // what diagonals read right of the last block
-    for (int x = p.columns(); x < p.sum_stride(); ++x)
-      s.sums.get()[static_cast<std::size_t>(d) * p.sum_stride() + x] = kNoSum;
-  int strip_first = 0, strip_rows = 0;
-  for (int y = begin; y != end; y += step, phase ^= 1) {
-    if (strip_rows == 0 || y < strip_first || y >= strip_first + strip_rows) {
-      const int left_over = (end - y) * step;
-      strip_rows = left_over < kStripRows ? left_over : kStripRows;
-      strip_first = step > 0 ? y : y - strip_rows + 1;
-      horizontal_strip(p, left, right, strip_first, strip_rows, s);
-    }
-    // a pass that begins here (an image of one row) has no predecessor
-    const int from = y - step;
-    path_penalties(p, left, y, from < 0 || from >= p.height ? y : from, s, phase);
-    finish_row(p, census_row(p, left, right, y), s, phase,
-               volume + static_cast<std::size_t>(y) * p.volume_stride(),
-               s.strip_sum.get() + static_cast<std::size_t>(y - strip_first) * p.volume_stride(),
-               w);
-    const std::size_t row = static_cast<std::size_t>(y) * p.width;
-    write_winners(p, w, maps.left + row, maps.left_margin + row, maps.left_unique + row);
-    if (maps.right == nullptr) continue;
-    for (int x = 0; x < p.columns(); x += kLanes) find_winners(p, s.sums.get(), true, x, w);
-    write_winners(p, w, maps.right + row, maps.right_margin + row, maps.right_unique + row);
-  }
+    write_row(w, Subpixel::none, keep, offset, p.width, row, row.disparity, row.margin, row.unique);
 }

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereo.census import census_planes
 
-NO_SUM = 0x7FFF
+LARGEST_SUM = 255  # larger sums count as this one, and so does a rival that does not exist
 EIGHT = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]
 
 
@@ -91,7 +91,7 @@ def aggregate(cost, image, s):
                 best = np.minimum(np.minimum(old, below), np.minimum(above, old.min() + p2))
                 path[y, x] = cost[y, x] + best - old.min()
         total += path - cost
-    return total
+    return np.minimum(total, LARGEST_SUM)
 
 
 def winners(lists, s):
@@ -108,7 +108,7 @@ def winners(lists, s):
             d = int(np.argmin(sums))
             best = int(sums[d])
             rivals = [int(v) for k, v in enumerate(sums) if abs(k - d) > 1]
-            second = min(rivals) if rivals else NO_SUM
+            second = min(rivals) if rivals else LARGEST_SUM
             unique[y, x] = second * (100 - s.uniqueness_percent) >= best * 100
             if second:
                 margin[y, x] = int(np.float32(255 * (second - best)) / np.float32(second))
