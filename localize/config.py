@@ -100,6 +100,7 @@ class LocalizeConfig(BaseModel):
     mode_share_min: float = Field(0.1, gt=0, lt=1)
     healthy_sd_m: float = Field(2.0, gt=0)
     proven_sd_m: float = Field(0.5, gt=0)
+    proven_after_m: float = Field(25.0, gt=0)
 
     @model_validator(mode="after")
     def _ordered(self) -> LocalizeConfig:

@@ -8,6 +8,7 @@ Source: the idea of matching local pole patterns is Brenner's (2009); the search
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,13 +30,22 @@ _FORGET_M = 45.0
 _FORGET_S = 20.0
 _MOST_POLES = 40
 _PUSH_INTERVAL_S = 0.15  # a tenth of the scans of a camera holds the same poles
+_SAME_M = 1.5
+_SAME_RAD = 0.15
+
+LOG_ODDS_A_POLE = 1.5
+"""What one more pole that fits says for a pose."""
+
+
+Against = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
     """Poses `(k, 3)` of the rear axle, best first, with the number of poles that each explains.
 
-    `score` is the sum over these poles of how well they fit, 0 to 1 each.
+    `score` is the sum over these poles of how well they fit, 0 to 1 each, less what else speaks
+    against the pose.
     """
 
     poses: Floats
@@ -44,6 +54,10 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.poses)
+
+    def at(self, pose: Floats) -> NDArray[np.bool_]:
+        """Which of them `(k,)` are nearly the pose `(3,)`."""
+        return _same(self.poses, pose)
 
 
 class PoleMemory:
@@ -127,6 +141,7 @@ class ConstellationIndex:
         rng: np.random.Generator,
         centre_m: Floats | None = None,
         reach_m: float = np.inf,
+        against: Against | None = None,
         most: int = 12,
     ) -> Candidates:
         """Poses from which the map looks like the given poles.
@@ -137,6 +152,7 @@ class ConstellationIndex:
             min_poles: a pose that explains fewer is not returned.
             rng: thins the candidates where a large map offers too many.
             centre_m: `(2,)`, search only poses within `reach_m` of it.
+            against: what else speaks against poses, see `judge`.
         """
         points = np.asarray(points_vehicle_m, dtype=np.float64)
         empty = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
@@ -145,16 +161,16 @@ class ConstellationIndex:
         poses = self._hypotheses(points, tolerance_m, rng, centre_m, reach_m)
         if len(poses) == 0:
             return empty
-        matched, score = self._judge(poses, points, tolerance_m)
-        good = np.flatnonzero(matched >= min_poles)
-        order = good[np.argsort(-score[good], kind="stable")]
+        first = self.judge(poses, points, tolerance_m, against)
+        good = np.flatnonzero(first.matched >= min_poles)
+        order = good[np.argsort(-first.score[good], kind="stable")]
         chosen = _distinct(poses, order, most)
         refined = np.array([self._refined(poses[i], points, tolerance_m) for i in chosen])
         if len(refined) == 0:
             return empty
-        matched, score = self._judge(refined, points, tolerance_m)
-        order = np.argsort(-score, kind="stable")
-        return Candidates(refined[order], matched[order], score[order])
+        found = self.judge(refined, points, tolerance_m, against)
+        order = np.argsort(-found.score, kind="stable")
+        return Candidates(found.poses[order], found.matched[order], found.score[order])
 
     def _hypotheses(
         self,
@@ -189,15 +205,23 @@ class ConstellationIndex:
             poses = poses[np.sort(rng.choice(len(poses), _MOST_CANDIDATES, replace=False))]
         return poses
 
-    def _judge(
-        self, poses: Floats, points: Floats, tolerance_m: float
-    ) -> tuple[NDArray[np.int64], Floats]:
+    def judge(
+        self, poses: Floats, points: Floats, tolerance_m: float, against: Against | None = None
+    ) -> Candidates:
+        """How many of the points `(k, 2)` in the vehicle frame each of the poses `(n, 3)` explains.
+
+        Args:
+            against: minus the log-likelihood `(n,)` that other senses give poses.
+        """
         c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         east = poses[:, :1] + c * points[:, 0] - s * points[:, 1]
         north = poses[:, 1:2] + s * points[:, 0] + c * points[:, 1]
         distance, _ = self._nearest(np.stack([east, north], axis=-1), tolerance_m)
         fit = np.where(distance < tolerance_m, 1.0 - (distance / tolerance_m) ** 2, 0.0)
-        return (distance < tolerance_m).sum(axis=1).astype(np.int64), np.asarray(fit.sum(axis=1))
+        score = fit.sum(axis=1)
+        if against is not None:
+            score = score - against(poses) / LOG_ODDS_A_POLE
+        return Candidates(poses, (distance < tolerance_m).sum(axis=1).astype(np.int64), score)
 
     def _nearest(self, points: Floats, tolerance_m: float) -> tuple[Floats, NDArray[np.int64]]:
         """Distance to and row of the nearest map pole; infinite beyond the tolerance."""
@@ -260,14 +284,15 @@ def _distinct(poses: Floats, order: NDArray[np.int64], most: int) -> list[int]:
     """Of the ordered poses the first `most` that are not nearly the same."""
     chosen: list[int] = []
     for i in order[:2000]:
-        if chosen:
-            offset = poses[chosen] - poses[i]
-            same = (np.hypot(offset[:, 0], offset[:, 1]) < 1.5) & (
-                np.abs(wrap_angle(offset[:, 2])) < 0.15
-            )
-            if same.any():
-                continue
+        if chosen and _same(poses[chosen], poses[i]).any():
+            continue
         chosen.append(int(i))
         if len(chosen) == most:
             break
     return chosen
+
+
+def _same(poses: Floats, pose: Floats) -> NDArray[np.bool_]:
+    offset = poses - pose
+    near = np.hypot(offset[:, 0], offset[:, 1]) < _SAME_M
+    return np.asarray(near & (np.abs(wrap_angle(offset[:, 2])) < _SAME_RAD))

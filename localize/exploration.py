@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localize.config import LocalizeConfig
-from localize.constellation import Candidates
+from localize.constellation import LOG_ODDS_A_POLE, Candidates
 from localize.gnss_alignment import GnssPose
 from polemap.association import PoseLikelihoods
 
@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 _FULL_WEIGHT_POLES = 4.0
 _CANDIDATE_SD_M = 0.25
 _CANDIDATE_SD_RAD = 0.02
+_CHANCE_SCORE = 1.5  # two poles of the street fit somewhere near
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +89,21 @@ def draw_poses(
     candidates: Candidates,
     rng: np.random.Generator,
     *,
-    candidate_share: float = 0.6,
+    candidate_share: float = 0.8,
 ) -> Floats:
     """Rear-axle poses `(count, 3)` from where the car may be; fewer (or none) if nothing is known.
 
-    Constellation matches are drawn by how many poles they explain, the rest around GNSS.
+    Constellation matches are drawn by their score, the rest around GNSS. `candidate_share` at most
+    are matches, and less where the best of them is no better than chance.
     """
     from_candidates = 0
     if len(candidates):
-        from_candidates = count if gnss is None else round(candidate_share * count)
+        odds = np.exp(LOG_ODDS_A_POLE * (candidates.score - candidates.score.max()))
+        chance = np.exp(LOG_ODDS_A_POLE * (_CHANCE_SCORE - candidates.score.max()))
+        share = min(candidate_share, float(odds.sum() / (odds.sum() + chance)))
+        from_candidates = count if gnss is None else round(share * count)
     parts = [np.empty((0, 3))]
     if from_candidates:
-        odds = np.exp(1.5 * (candidates.score - candidates.score.max()))
         chosen = rng.choice(len(candidates), size=from_candidates, p=odds / odds.sum())
         spread = np.array([_CANDIDATE_SD_M, _CANDIDATE_SD_M, _CANDIDATE_SD_RAD])
         noise = rng.standard_normal((from_candidates, 3)) * spread

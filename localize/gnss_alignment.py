@@ -25,6 +25,8 @@ _OUTLIER_SD = 3.0
 _SHORT_TERM_SHARE = 0.5  # the part of the receiver's error that differs from fix to fix
 _STRAY_S = 2.0
 _DRIFT_SHARE = 0.02
+_SAME_PLACE_M = 1.0
+_WIDE_SD = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,20 @@ class GnssPose:
         if not self.heading_known:
             drawn[:, 2] = rng.uniform(-np.pi, np.pi, count)
         return np.asarray(drawn)
+
+    def misfit(self, poses: Floats, outlier_share: float) -> Floats:
+        """How much less likely than the best pose others `(n, 3)` are, `(n,)` as minus the log.
+
+        Mixed with a far wider Gaussian: GNSS may be wrong altogether.
+        """
+        known = 3 if self.heading_known else 2
+        offset = poses - self.pose
+        offset[:, 2] = wrap_angle(offset[:, 2])
+        inverse = np.linalg.inv(self.covariance[:known, :known])
+        d2 = np.einsum("ni,ij,nj->n", offset[:, :known], inverse, offset[:, :known])
+        wide = _WIDE_SD**2
+        near = np.log1p(-outlier_share) - 0.5 * d2
+        return np.asarray(-np.logaddexp(near, np.log(outlier_share / wide) - 0.5 * d2 / wide))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +136,7 @@ class GnssAlignment:
             kept = np.hypot(*(offset - shift).T) < _OUTLIER_SD * sd
         known = yaw_sd < 0.35
         if not known:
-            return self._unknown_heading(fixes[kept] if kept.any() else fixes, sd), kept
+            return self._unknown_heading(fixes, path, sd, reckoned), kept
         c, s = np.cos(yaw), np.sin(yaw)
         rotation = np.array([[c, -s], [s, c]])
         pose = np.empty(3)
@@ -137,11 +153,16 @@ class GnssAlignment:
         covariance[2, 2] = yaw_sd**2
         return GnssPose(pose, covariance, True), kept
 
-    def _unknown_heading(self, fixes: Floats, sd: Floats) -> GnssPose:
+    def _unknown_heading(
+        self, fixes: Floats, path: Floats, sd: Floats, reckoned: Floats
+    ) -> GnssPose:
         """Rear axle somewhere around the antenna, in any direction."""
+        # older fixes lie behind, nobody knows in which direction
+        here = np.hypot(*(path - path[-1]).T) < _SAME_PLACE_M
+        position = np.median(fixes[here][-5:], axis=0)
         lever = float(np.hypot(*self._antenna_m))
-        variance = float(np.median(sd)) ** 2 + 0.5 * lever**2
-        position = np.median(fixes[-5:], axis=0)
+        since = float(np.hypot(*(reckoned[:2] - path[-1])))
+        variance = float(np.median(sd)) ** 2 + 0.5 * max(lever, since) ** 2
         return GnssPose(
             np.array([position[0], position[1], 0.0]), np.diag([variance, variance, 1.0]), False
         )

@@ -26,8 +26,9 @@ from localize.particles import (
     normalized,
     position_sd,
 )
-from localize.relocation import Relocation
+from localize.relocation import Relocation, Verdict
 from localize.resampling import jittered, low_variance_indices, particles_needed
+from localize.start_proof import StartProof
 from polemap.association import Landmarks
 from polemap.landmark_map import PoleMap
 from vehicle.pose import shift_forward, wrap_angle
@@ -99,7 +100,7 @@ class ParticleFilter:
         self._scan_evidence = 0.0
         self._used_share = 0.0
         self._explored_share = 0.0
-        self._proven = False
+        self._proof = StartProof(config)
         self.counts: Counter[str] = Counter()
 
     @property
@@ -150,7 +151,7 @@ class ParticleFilter:
         self._stamp_s, self._travelled_m = stamp_s, self._history.travelled_m(stamp_s)
         self._averages.reset()
         self._lost.reset()
-        self._proven = True
+        self._proof.believe()
 
     def update(self, scan: PoleScan) -> PfEstimate | None:
         """Move to the scan's stamp, weigh, explore, estimate, resample.
@@ -178,12 +179,13 @@ class ParticleFilter:
                 return None
             self._place(drawn, np.zeros(len(drawn)))
             event, share = "initialized", _FIRST_SHARE
+        moved_m = travelled - self._travelled_m
         self._stamp_s, self._travelled_m = stamp, travelled
         self._log_weights = self._fixes.weigh(self._log_weights, self._rear(), stamp, self._history)
         self._weigh_scan(scan, share)
         if event is None:
             event = self._recover(scan, reckoned)
-        estimate = self._estimate(scan, event)
+        estimate = self._estimate(scan, event, reckoned, moved_m)
         self._resample(estimate.health.n_eff)
         self._calibration.learn(
             stamp, estimate.pose, estimate.covariance, self._held_by_poles(estimate)
@@ -231,6 +233,8 @@ class ParticleFilter:
         """Start anew when lost, explore when the likelihood has fallen."""
         self._explored_share = 0.0
         total = len(self._poses)
+        if self._proof.contradicted:
+            return self._begin_elsewhere(scan, reckoned)
         if self._lost.lost and self._relocation.rested(scan.stamp_s):
             if self._lost.scattered or self._lost.astray:
                 drawn = self._relocation.draw(total, scan.stamp_s, reckoned, self._rng)
@@ -258,6 +262,18 @@ class ParticleFilter:
         self.counts["exploration_events"] += 1
         return "explored"
 
+    def _begin_elsewhere(self, scan: PoleScan, reckoned: Floats) -> Event | None:
+        """The poles fit clearly better at another place than at that of a start not yet proven."""
+        count = round(_RESTART_SHARE * len(self._poses))
+        drawn = self._relocation.draw(count, scan.stamp_s, reckoned, self._rng)
+        if len(drawn) == 0:
+            return None
+        self._mix_in(drawn, np.zeros(len(drawn)))
+        self._averages.reset()
+        self._lost.reset()
+        self.counts["start_corrections"] += 1
+        return "initialized"
+
     def _mix_in(self, rear: Floats, log_weights: Floats) -> None:
         """Let poses take the places of as many particles."""
         total = len(self._poses)
@@ -270,7 +286,9 @@ class ParticleFilter:
             np.concatenate([self._slips[kept], self._drawn_slips(len(rear))]),
         )
 
-    def _estimate(self, scan: PoleScan, event: Event | None) -> PfEstimate:
+    def _estimate(
+        self, scan: PoleScan, event: Event | None, reckoned: Floats, moved_m: float
+    ) -> PfEstimate:
         config = self._config
         rear = self._rear()
         weights, _ = normalized(self._log_weights)
@@ -291,11 +309,19 @@ class ParticleFilter:
             self._fixes.distance_sd(pose, spread),
         )
         if event in ("initialized", "reinitialized"):
-            self._proven = False
-        elif len(modes) == 1 and major <= config.proven_sd_m and fit.matched > 0:
-            # a single pole fits in many places; only what poles have narrowed down is a place
-            self._proven = True
-        settled = self._proven and len(modes) == 1
+            self._proof.begin()
+        elif not self._proof.proven:
+            verdict: Verdict = "open"
+            if self._relocation.rested(scan.stamp_s):
+                verdict = self._relocation.verify(pose, scan.stamp_s, reckoned, self._rng)
+            self._proof.add(
+                verdict,
+                narrow=len(modes) == 1 and major <= config.proven_sd_m,
+                matched=fit.matched,
+                possible=min(float(len(scan)), fit.expected),
+                moved_m=moved_m,
+            )
+        settled = self._proof.proven and len(modes) == 1
         healthy = settled and major <= config.healthy_sd_m and self._lost.fits
         health = HealthRecord(
             stamp_s=scan.stamp_s,

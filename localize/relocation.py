@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivelog.samples import GnssFix, PoleScan
 from localize.config import LocalizeConfig
-from localize.constellation import Candidates, ConstellationIndex, PoleMemory
+from localize.constellation import Against, Candidates, ConstellationIndex, PoleMemory
 from localize.exploration import draw_poses
 from localize.gnss_alignment import GnssAlignment, GnssPose
 from localize.particles import position_sd
 from polemap.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
+Verdict = Literal["confirmed", "contradicted", "open"]
 
+_MARGIN = 1.5  # by so many poles another place must explain less
+_STANDING_M = 0.2
 _NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
 
 
@@ -27,7 +32,8 @@ class Relocation:
         self._memory = PoleMemory()
         self._index = ConstellationIndex(pole_map)
         self._searched_s = -np.inf
-        self._first_fix_s: float | None = None
+        self._searched_at_m = np.zeros(2)
+        self._waited_s = 0.0
 
     @property
     def newest_fix_s(self) -> float:
@@ -47,22 +53,56 @@ class Relocation:
     ) -> Floats:
         """Poses `(count, 3)` to begin with; none while waiting makes them better.
 
-        Poses of any heading are a poor start. So the first metres are awaited, after which GNSS has
-        a heading, unless the poles already fit a constellation or the patience ends.
+        Poses of any heading are a poor start: a single pole fits them all. So the first metres are
+        awaited, after which GNSS has a heading, unless the poles fit a constellation in one place
+        only, or the car has driven for as long as the patience lasts.
         """
         if not self.rested(stamp_s):
             return np.empty((0, 3))
+        since_s, self._searched_s = stamp_s - self._searched_s, stamp_s
+        gnss = self._gnss_pose(stamp_s, reckoned)
+        candidates = self._search(reckoned, gnss, rng)
+        moved = np.hypot(*(reckoned[:2] - self._searched_at_m)) > _STANDING_M
+        self._searched_at_m = reckoned[:2].copy()
+        if gnss is not None and moved and np.isfinite(since_s):
+            self._waited_s += since_s
+        if gnss is None or not gnss.heading_known:
+            sure = _stands_out(candidates, self._enough(gnss))
+            if not sure and (gnss is None or self._waited_s < self._config.start_patience_s):
+                return np.empty((0, 3))
+        return draw_poses(count, gnss, candidates, rng)
+
+    def verify(
+        self, pose: Floats, stamp_s: float, reckoned: Floats, rng: np.random.Generator
+    ) -> Verdict:
+        """Hold a pose `(3,)` against the poles of the last metres, and against other places.
+
+        "confirmed" if it explains enough of them and no other place does as well, "contradicted"
+        if another one does clearly better.
+        """
         self._searched_s = stamp_s
         gnss = self._gnss_pose(stamp_s, reckoned)
         candidates = self._search(reckoned, gnss, rng)
-        if gnss is not None and self._first_fix_s is None:
-            self._first_fix_s = stamp_s
-        sure = len(candidates) > 0 and candidates.matched[0] > self._config.constellation_min_poles
-        if not sure and (gnss is None or not gnss.heading_known):
-            waited = 0.0 if self._first_fix_s is None else stamp_s - self._first_fix_s
-            if waited < self._config.start_patience_s:
-                return np.empty((0, 3))
-        return draw_poses(count, gnss, candidates, rng)
+        config = self._config
+        own = self._index.judge(
+            pose[np.newaxis],
+            self._memory.around(reckoned),
+            config.constellation_tolerance_m,
+            self._against(gnss),
+        )
+        enough, score = self._enough(gnss), float(own.score[0])
+        found = len(candidates) > 0 and candidates.matched[0] >= enough
+        if found and candidates.score[0] >= score + _MARGIN:
+            return "contradicted"
+        rivals = candidates.score[~candidates.at(pose)]
+        if own.matched[0] >= enough and (len(rivals) == 0 or score >= rivals[0] + _MARGIN):
+            return "confirmed"
+        return "open"
+
+    def _enough(self, gnss: GnssPose | None) -> int:
+        """Poles that a constellation must hold to be a proof."""
+        known = gnss is not None and gnss.heading_known
+        return self._config.constellation_min_poles + (not known)
 
     def rested(self, stamp_s: float) -> bool:
         """Whether the last search is long enough ago for another."""
@@ -86,7 +126,7 @@ class Relocation:
     ) -> Candidates:
         config = self._config
         points = self._memory.around(reckoned)
-        if len(points) < config.constellation_min_poles:
+        if len(points) < self._enough(gnss) - (gnss is not None):
             return _NO_CANDIDATES
         reach = np.inf
         if gnss is not None:
@@ -94,9 +134,22 @@ class Relocation:
         return self._index.find(
             points,
             tolerance_m=config.constellation_tolerance_m,
-            # the whole map offers chance matches that the surroundings of a fix do not
-            min_poles=config.constellation_min_poles + (gnss is None),
+            # without a heading, and the more in the whole map, there are more chance matches
+            min_poles=self._enough(gnss) - (gnss is not None),
             rng=rng,
             centre_m=None if gnss is None else gnss.pose[:2],
             reach_m=reach,
+            against=self._against(gnss),
         )
+
+    def _against(self, gnss: GnssPose | None) -> Against | None:
+        if gnss is None:
+            return None
+        return lambda poses: gnss.misfit(poses, self._config.gnss_outlier_share)
+
+
+def _stands_out(candidates: Candidates, enough: int) -> bool:
+    """Whether the best candidate explains enough poles, and clearly more than the others."""
+    if len(candidates) == 0 or candidates.matched[0] < enough:
+        return False
+    return len(candidates) == 1 or bool(candidates.score[0] >= candidates.score[1] + _MARGIN)

@@ -22,6 +22,7 @@ from vehicle.pose import wrap_angle
 Floats = NDArray[np.float64]
 
 _STEP_S = 0.01
+_START_MPS2 = 1.5
 FRAME = EarthFrame("local", name="point_world")
 
 
@@ -43,6 +44,7 @@ class PointScenario:
         map_sd_m: of the map's positions, in each axis.
         odometry_scale, odometry_bias_radps: what stays wrong over the whole drive.
         gnss_outage: first and last second without GNSS.
+        standstill_s: the car stands for so long before it drives off.
         kidnap_s: moment at which the car is put 50 m ahead on its way, unknown to the odometry.
     """
 
@@ -71,6 +73,7 @@ class PointScenario:
     gnss_sd_m: float = 2.5
     gnss_correlation_s: float = 60.0
     gnss_outage: tuple[float, float] = (np.inf, np.inf)
+    standstill_s: float = 0.0
     kidnap_s: float = np.inf
     kidnap_m: float = 50.0
 
@@ -136,6 +139,9 @@ def _drive_path(
     total = count + spare
     speed = scenario.speed_mps * (1.0 + 0.25 * _wander(total, _STEP_S, 8.0, rng))
     speed = np.asarray(np.clip(speed, 0.4 * scenario.speed_mps, 1.6 * scenario.speed_mps))
+    if scenario.standstill_s > 0.0:
+        driven_s = _STEP_S * np.arange(total) - scenario.standstill_s
+        speed = np.clip(_START_MPS2 * driven_s, 0.0, speed)
     # curvature wanders with the way, so a slow car drives the same streets
     curvature = np.clip(0.012 * _wander(total, _STEP_S, 5.0, rng), -0.03, 0.03)
     yaw_rate = np.asarray(speed * curvature)

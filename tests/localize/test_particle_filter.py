@@ -220,9 +220,10 @@ def test_the_cloud_learns_how_far_the_car_slips() -> None:
     """Both cars begin with the same guess; what is learned leans to the truth of each."""
     learned = {}
     for slip in (0.003, 0.009):
-        scenario = replace(SHORT, slip_rad_per_mps2=slip, slip_sd_rad_per_mps2=0.0)
+        # fast, for large lateral accelerations: half a minute holds few bends
+        scenario = replace(SHORT, speed_mps=14.0, slip_rad_per_mps2=slip, slip_sd_rad_per_mps2=0.0)
         guesses = []
-        for seed in (1, 2, 3):
+        for seed in range(1, 6):
             drive = simulate_points(scenario, np.random.default_rng(seed))
             particle_filter = ParticleFilter(
                 drive.pole_map, LocalizeConfig(), drive.wheelbase_m, np.random.default_rng(seed)
@@ -230,8 +231,8 @@ def test_the_cloud_learns_how_far_the_car_slips() -> None:
             play(particle_filter, drive.samples)
             guesses.append(particle_filter.slip_rad_per_mps2)
         learned[slip] = float(np.mean(guesses))
-    # half a minute says little about so small an angle: a third of the way is too much to ask
-    assert learned[0.003] < learned[0.009] - 0.0004
+    # the sixth of what differs: half a minute says little, and the guesses scatter by 0.0017
+    assert learned[0.003] < learned[0.009] - 0.001
 
 
 def mirrored_map() -> PoleMap:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from localize.config import LocalizeConfig
 from localize.constellation import Candidates, ConstellationIndex, PoleMemory
 from localize.exploration import draw_poses
 from localize.gnss_alignment import GnssAlignment, GnssPose
+from localize.relocation import Relocation
 from polemap.landmark_map import PoleMap
 from vehicle.pose import wrap_angle
 
@@ -207,5 +210,88 @@ def test_draws_come_from_candidates_and_gnss() -> None:
     drawn = draw_poses(1000, gnss, good, rng)
     assert len(drawn) == 1000
     at_first = np.hypot(*drawn[:, :2].T) < 3
-    assert 500 < at_first.sum() <= 600
+    assert 600 < at_first.sum() <= 800
     assert len(draw_poses(100, None, good, rng)) == 100
+
+
+def test_what_gnss_says_against_a_pose() -> None:
+    gnss = GnssPose(np.array([100.0, 50.0, 3.1]), np.diag([4.0, 9.0, 0.01]), True)
+    at = np.array([[100.0, 50.0, 3.1], [102.0, 50.0, 3.1], [100.0, 53.0, 3.1], [100.0, 50.0, -3.1]])
+    turned = wrap_angle(np.array(6.2))
+    expected = [0.0, 0.5, 0.5, 0.5 * float(turned) ** 2 / 0.01]
+    said = gnss.misfit(at, 1e-6)
+    np.testing.assert_allclose(said - said[0], expected, atol=1e-4)
+    # a receiver may be wrong altogether: a kilometre says no more than a hundred metres, nearly
+    far = gnss.misfit(np.array([[140.0, 50.0, 3.1], [160.0, 50.0, 3.1]]), 0.1)
+    assert 6.0 < far[0] < far[1] < 10.0
+    # and says nothing of a heading that it does not know
+    blind = GnssPose(gnss.pose, gnss.covariance, False)
+    assert blind.misfit(np.array([[100.0, 50.0, 0.0]]), 0.1) == blind.misfit(at[:1], 0.1)
+
+
+def looked_around(world: PoleMap, pose: np.ndarray, reach_m: float = 40.0) -> Relocation:
+    """Stands at the pose, which dead reckoning takes for its origin, and has seen what is near."""
+    relocation = Relocation(world, LocalizeConfig())
+    local = seen_from(world, pose, reach_m)
+    n = len(local)
+    for stamp in (1.0, 2.0):
+        scan = PoleScan(
+            stamp,
+            stamp,
+            local,
+            np.tile(np.eye(2) * 0.01, (n, 1, 1)),
+            np.full(n, 0.3),
+            np.full(n, -1),
+            np.ones(n),
+        )
+        relocation.add_scan(scan, np.zeros(3), 0.0)
+    return relocation
+
+
+def test_a_place_is_confirmed_where_it_is_and_contradicted_elsewhere() -> None:
+    verdicts = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        world = street(rng, count=500)
+        pose = np.array([*rng.uniform(-150, 150, 2), rng.uniform(-np.pi, np.pi)])
+        relocation = looked_around(world, pose)
+        wrong = pose + np.array([5.0, -3.0, 0.3])
+        here = relocation.verify(pose, 2.0, np.zeros(3), rng)
+        verdicts.append((here, relocation.verify(wrong, 2.0, np.zeros(3), rng)))
+    assert verdicts == [("confirmed", "contradicted")] * 10
+
+
+def test_two_places_alike_or_few_poles_leave_the_place_open() -> None:
+    rng = np.random.default_rng(0)
+    pose = np.array([0.0, 0.0, 0.5])
+    lone = street(rng, count=60, extent_m=100.0)
+    points = np.vstack([lone.points_m, lone.points_m + np.array([400.0, 0.0])])
+    twice = street(rng, count=120)
+    twice = replace(twice, points_m=points)
+    assert looked_around(lone, pose).verify(pose, 2.0, np.zeros(3), rng) == "confirmed"
+    assert looked_around(twice, pose).verify(pose, 2.0, np.zeros(3), rng) == "open"
+    nearest = np.sort(np.hypot(*(lone.points_m - pose[:2]).T))
+    few = looked_around(lone, pose, float(nearest[:4].mean()))
+    assert few.verify(pose, 2.0, np.zeros(3), rng) == "open"
+
+
+def test_a_standing_car_does_not_start_by_gnss_until_it_has_driven() -> None:
+    world = street(np.random.default_rng(1))
+    relocation = Relocation(world, LocalizeConfig())
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        stamp = 1.0 + k
+        fix = GnssFix(stamp, stamp, *rng.normal(0, 0.3, 2).tolist(), 1.0)
+        relocation.add_fix(fix, np.zeros(2), np.zeros(3))
+        assert len(relocation.start(100, stamp, np.zeros(3), rng)) == 0
+    for k in range(10):
+        stamp, way = 61.0 + k, 3.0 * (k + 1)
+        fix = GnssFix(stamp, stamp, way + float(rng.normal(0, 0.3)), 0.0, 1.0)
+        reckoned = np.array([way, 0.0, 0.0])
+        relocation.add_fix(fix, np.zeros(2), reckoned)
+        drawn = relocation.start(100, stamp, reckoned, rng)
+        if len(drawn):
+            break
+    assert len(drawn) == 100
+    assert np.abs(wrap_angle(drawn[:, 2])).max() < np.pi / 2
+    assert np.hypot(*(drawn[:, :2].mean(axis=0) - np.array([way, 0.0]))) < 5.0

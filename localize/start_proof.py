@@ -1,0 +1,60 @@
+"""When a start may be believed: a single pole fits in many places."""
+
+from __future__ import annotations
+
+from localize.config import LocalizeConfig
+from localize.relocation import Verdict
+
+
+class StartProof:
+    """Collects what speaks for and against the place that the cloud has chosen after a start.
+
+    It is proven by a constellation that fits here and nowhere else near; or, where poles are too
+    rare for that, by a narrow cloud that goes on to find the poles where it expects them.
+    """
+
+    def __init__(self, config: LocalizeConfig) -> None:
+        self._config = config
+        self._upheld_m = 0.0
+        self.proven = False
+        self.contradicted = False
+
+    def begin(self) -> None:
+        """A new start: nothing is known."""
+        self._upheld_m = 0.0
+        self.proven = self.contradicted = False
+
+    def believe(self) -> None:
+        """Somebody who should know has said where the car is."""
+        self.proven, self.contradicted = True, False
+
+    def add(
+        self,
+        verdict: Verdict,
+        *,
+        narrow: bool,
+        matched: int,
+        possible: float,
+        moved_m: float,
+    ) -> None:
+        """Take in a scan.
+
+        Args:
+            verdict: on the constellation; "open" where it was not asked for.
+            narrow: the cloud has one mode, narrower than `proven_sd_m`.
+            matched: poles of the scan that fit.
+            possible: matches that could be hoped for.
+            moved_m: since the last scan.
+        """
+        self.contradicted = verdict == "contradicted"
+        if not narrow:
+            self._upheld_m = 0.0
+            return
+        if matched:
+            self._upheld_m += moved_m
+        elif possible > _HOPE:
+            self._upheld_m = max(0.0, self._upheld_m - moved_m)
+        self.proven |= verdict == "confirmed" or self._upheld_m >= self._config.proven_after_m
+
+
+_HOPE = 0.5  # where fewer matches could be hoped for, none says nothing
