@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 
 _ROWS = 28
 _COLUMNS = 11
+_ACROSS = np.linspace(0.0, 1.0, _COLUMNS)
 _BESIDE_PX = 0.7  # the flanks themselves say most
 _SWEEPS = 4
 _REACH_PX = 1.6  # farther from the matcher's value the fit is not believed
@@ -62,52 +63,58 @@ def refine_disparity(
     count = len(disparity_px)
     if not count:
         return Fit(disparity_px, np.empty(0), np.empty(0, dtype=bool))
-    one, two = (cv2.GaussianBlur(image, (3, 3), 0.8) for image in (left, right))
     height, width = left.shape
     share = (np.arange(_ROWS) + 0.5) / _ROWS
     rows = np.rint(top_px[:, None] + (bottom_px - top_px)[:, None] * share)
     middle = 0.5 * (top_px + bottom_px)
-    across = np.linspace(0.0, 1.0, _COLUMNS)
     first, last = left_px - _BESIDE_PX, right_px + _BESIDE_PX
-    columns = first[:, None] + (last - first)[:, None] * across
+    columns = first[:, None] + (last - first)[:, None] * _ACROSS
     lean = slope[:, None] * (rows - middle[:, None])
     u = np.rint(columns[:, None, :] + lean[:, :, None]).astype(np.int64)
-    v = np.clip(rows, 0, height - 1).astype(np.int64)[:, :, None]
-    inside = (u >= 0) & (u < width)
-    grey = one[v, np.clip(u, 0, width - 1)].astype(np.float64).reshape(count, -1)
-    inside = inside.reshape(count, -1)
-    u_flat, v_flat = u.reshape(count, -1), np.broadcast_to(v, u.shape).reshape(count, -1)
-    shift, gain, offset = disparity_px.astype(np.float64).copy(), np.ones(count), np.zeros(count)
-    weight = inside.astype(np.float64)
-    noise = np.ones(count)
-    curvature = np.ones(count)
+    v = np.minimum(np.maximum(rows, 0), height - 1).astype(np.int64)
+    inside = ((u >= 0) & (u < width)).reshape(count, -1)
+    at = np.minimum(np.maximum(u, 0), width - 1)
+    v_flat = np.repeat(v, _COLUMNS, axis=1)
+    grey = _Smooth(left, v_flat, int(at.min()), int(at.max())).grey(at.reshape(count, -1))
+    # where the fit may go to: no farther than its steps allow, and not out of the image
+    reach = (_SWEEPS - 1) * _STEP_PX + 1.0
+    begin = u - disparity_px[:, None, None]
+    ends = np.floor([begin.min() - reach, begin.max() + reach])
+    low, high = np.minimum(np.maximum(ends, 1), width - 3).astype(np.int64).tolist()
+    two = _Smooth(right, v_flat, low, high + 1)
+    u_flat = u.reshape(count, -1)
+    shift, gain, offset = disparity_px.astype(np.float64), np.ones(count), np.zeros(count)
+    # three columns of the design and the residual: one product gives both sides of the equations
+    design = np.ones((count, 4, u_flat.shape[1]))
+    half = u_flat.shape[1] // 2
     for _ in range(_SWEEPS):
-        at = u_flat - shift[:, None]
-        base = np.floor(at).astype(np.int64)
-        part = at - base
+        position = u_flat - shift[:, None]
+        base_px = np.floor(position)
+        part = position - base_px
+        base = base_px.astype(np.int64)
         good = inside & (base >= 1) & (base < width - 2)
-        base = np.clip(base, 1, width - 3)
-        before, after = (
-            two[v_flat, base].astype(np.float64),
-            two[v_flat, base + 1].astype(np.float64),
-        )
-        other = before + part * (after - before)
+        base = np.minimum(np.maximum(base, 1), width - 3)
+        before = two.grey(base)
+        rise = two.grey(base + 1) - before
+        other = before + part * rise
         residual = grey - gain[:, None] * other - offset[:, None]
-        spread = 1.4826 * np.median(np.abs(residual), axis=1) + 0.3
+        ordered = np.sort(np.abs(residual), axis=1)
+        spread = 1.4826 * (0.5 * (ordered[:, half - 1] + ordered[:, half])) + 0.3
         weight = good / (1.0 + (residual / (2.0 * spread[:, None])) ** 2)
-        slope_grey = -gain[:, None] * (after - before)  # right column is u minus disparity
-        design = np.stack([slope_grey, other, np.ones_like(other)], axis=2)
-        weighted = design * weight[:, :, None]
-        normal = np.swapaxes(weighted, 1, 2) @ design
-        scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+        np.multiply(-gain[:, None], rise, out=design[:, 0])  # right column is u minus disparity
+        design[:, 1] = other
+        design[:, 3] = residual
+        sums = (design[:, :3] * weight[:, None]) @ np.swapaxes(design, 1, 2)
+        normal = sums[:, :, :3]
+        scale = normal[:, 0, 0] + normal[:, 1, 1] + normal[:, 2, 2]
         # a stem whose partner lies outside the right image has no equation at all
-        normal = normal + (1e-9 * scale + 1e-12) * np.eye(3)
-        step = np.linalg.solve(normal, (weighted * residual[:, :, None]).sum(axis=1)[:, :, None])
-        shift = shift + np.clip(step[:, 0, 0], -_STEP_PX, _STEP_PX)
-        gain, offset = gain + step[:, 1, 0], offset + step[:, 2, 0]
-        total = np.maximum(weight.sum(axis=1), 1.0)
-        noise = np.sqrt((weight * residual**2).sum(axis=1) / total + _QUANTISATION_GREY**2)
-        curvature = 1.0 / np.maximum(np.linalg.inv(normal)[:, 0, 0], 1e-12)
+        normal = normal + (1e-9 * scale + 1e-12)[:, None, None] * np.eye(3)
+        step = np.linalg.solve(normal, sums[:, :, 3:])[:, :, 0]
+        shift = shift + np.minimum(np.maximum(step[:, 0], -_STEP_PX), _STEP_PX)
+        gain, offset = gain + step[:, 1], offset + step[:, 2]
+    total = np.maximum(weight.sum(axis=1), 1.0)
+    noise = np.sqrt((weight * residual**2).sum(axis=1) / total + _QUANTISATION_GREY**2)
+    curvature = 1.0 / np.maximum(np.linalg.inv(normal)[:, 0, 0], 1e-12)
     mean = (weight * grey).sum(axis=1) / total
     variance = (weight * (grey - mean[:, None]) ** 2).sum(axis=1) / total
     explained = 1.0 - noise**2 / np.maximum(variance, 1e-9)
@@ -115,3 +122,17 @@ def refine_disparity(
     trusted = (np.abs(shift - disparity_px) <= _REACH_PX) & (explained >= _CORRELATION_MIN**2)
     trusted &= (gain > 0.4) & (gain < 2.5) & (sd < 0.5) & np.isfinite(shift) & (shift > 0.5)
     return Fit(np.where(trusted, shift, disparity_px), np.where(trusted, sd, np.nan), trusted)
+
+
+class _Smooth:
+    """The part of an image in which all stems lie, smoothed; the whole would take twice as long."""
+
+    def __init__(self, image: Image, rows: NDArray[np.int64], first: int, last: int) -> None:
+        top, left = max(int(rows.min()) - 1, 0), max(first - 1, 0)  # a pixel more for the smoothing
+        part = image[top : int(rows.max()) + 2, left : last + 2]
+        self._values = cv2.GaussianBlur(part, (3, 3), 0.8).ravel()
+        self._begin = (rows - top) * part.shape[1] - left
+
+    def grey(self, columns: NDArray[np.int64]) -> Floats:
+        """Grey values in the given image columns, one for every row."""
+        return np.asarray(self._values.take(self._begin + columns), dtype=np.float64)
