@@ -21,12 +21,13 @@ from drivelog.drive import Lap, open_drive
 from drivelog.frames import EarthFrame
 from drivelog.samples import Image
 from drivelog.writers.folder import FolderWriter, folder_writer, write_drive
+from polemap.io import read_map, write_map
 from simulate import sensors
 from simulate.camera import expose, exposure_of, make_units
 from simulate.config import SimulateConfig
 from simulate.driver import Motion, drive_route
 from simulate.dynamics import CAR
-from simulate.faults import apply_faults
+from simulate.faults import age_map, apply_faults
 from simulate.render import Renderer, RenderOptions, View, camera_poses, rotation_from_angles
 from simulate.route import Route, make_route
 from simulate.scenario import Scenario, load_scenario
@@ -266,7 +267,13 @@ def _faulty(
             objects=objects, images=images, advance=advance,
         )  # fmt: skip
         broken = Path(place) / "broken"
-        write_drive(apply_faults(open_drive(base), config.faults, seed), broken)
+        drive = open_drive(base)
+        write_drive(apply_faults(drive, config.faults, seed), broken)
+        if objects:
+            true = read_map(base / "objects.geojson", drive.frame)
+            aged = age_map(true, config.faults, seed)
+            if aged is not true:
+                write_map(aged, broken / "mapped.geojson")
         for name in TRUTH_FILES:
             if (base / name).exists():
                 shutil.copy(base / name, broken / name)

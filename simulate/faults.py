@@ -20,6 +20,7 @@ from drivelog.samples import Image
 from drivelog.streams import GnssStream, OdometryStream
 from polemap.landmark_map import PoleMap
 from simulate import picture_faults
+from simulate.map_faults import MapFault, PolesAdded, PolesRemoved
 
 Floats = NDArray[np.float64]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -275,46 +276,27 @@ class GnssOffset(_Fault):
 
 Fault = Annotated[
     DroppedFrames | FrozenFrames | SwappedCameras | OverExposed | BlurredFrames | DirtyLens
-    | Miscalibration | NotANumber | ClockJump | OdometryDropout | GnssDropout | GnssOffset,
+    | Miscalibration | NotANumber | ClockJump | OdometryDropout | GnssDropout | GnssOffset
+    | PolesAdded | PolesRemoved,
     Field(discriminator="kind"),
 ]  # fmt: skip
 
 
-def apply_faults(drive: Drive, faults: Sequence[_Fault], seed: int) -> Drive:
+def apply_faults(drive: Drive, faults: Sequence[_Fault | MapFault], seed: int) -> Drive:
     """The drive with all faults, in the order given; each draws from its own stream of the seed."""
     for index, fault in enumerate(faults):
-        drive = fault.apply(drive, np.random.default_rng([seed, 9000, index]))
+        if isinstance(fault, _Fault):
+            drive = fault.apply(drive, _draws(seed, index))
     return drive
 
 
-def without_poles(pole_map: PoleMap, share: float, rng: np.random.Generator) -> PoleMap:
-    """A map from which a share of the poles is missing: they were put up after mapping."""
-    keep = np.flatnonzero(rng.uniform(size=len(pole_map)) >= share)
-    return _rows(pole_map, keep, pole_map.points_m[keep])
+def age_map(pole_map: PoleMap, faults: Sequence[_Fault | MapFault], seed: int) -> PoleMap:
+    """The map with what the faults say of poles put up or taken away since it was made."""
+    for index, fault in enumerate(faults):
+        if isinstance(fault, MapFault):
+            pole_map = fault.age(pole_map, _draws(seed, index))
+    return pole_map
 
 
-def with_extra_poles(pole_map: PoleMap, share: float, rng: np.random.Generator) -> PoleMap:
-    """A map with poles that are gone by now: copies of others, 3 to 12 m beside them."""
-    count = round(share * len(pole_map))
-    source = rng.integers(0, max(len(pole_map), 1), count if len(pole_map) else 0)
-    turn, away = rng.uniform(0, 2 * np.pi, len(source)), rng.uniform(3, 12, len(source))
-    extra = pole_map.points_m[source] + np.stack([away * np.cos(turn), away * np.sin(turn)], 1)
-    rows = np.concatenate([np.arange(len(pole_map)), source])
-    grown = _rows(pole_map, rows, np.concatenate([pole_map.points_m, extra]))
-    first = int(pole_map.ids.max()) + 1 if len(pole_map) else 0
-    ids = np.concatenate([pole_map.ids, first + np.arange(len(source))])
-    return replace(grown, ids=ids)
-
-
-def _rows(pole_map: PoleMap, rows: NDArray[np.int64], points_m: Floats) -> PoleMap:
-    return replace(
-        pole_map,
-        ids=pole_map.ids[rows],
-        points_m=points_m,
-        covariance_m2=pole_map.covariance_m2[rows],
-        width_m=pole_map.width_m[rows],
-        height_m=pole_map.height_m[rows],
-        observations=pole_map.observations[rows],
-        drives=pole_map.drives[rows],
-        existence=pole_map.existence[rows],
-    )
+def _draws(seed: int, index: int) -> np.random.Generator:
+    return np.random.default_rng([seed, 9000, index])

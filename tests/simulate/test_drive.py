@@ -16,6 +16,7 @@ from simulate import drive as module
 from simulate.config import RenderConfig, SimulateConfig
 from simulate.drive import count_frames, simulate_drive
 from simulate.faults import GnssOffset
+from simulate.map_faults import PolesAdded
 from simulate.scenario import Scenario
 from tools.cli import build_app
 
@@ -108,7 +109,7 @@ def test_faults_end_up_in_the_folder(
     tmp_path: Path, street: Scenario, small: SimulateConfig
 ) -> None:
     sound = open_drive(simulate_drive(street, tmp_path / "s", 1, 3, small, images=False))
-    faulty = small.model_copy(update={"faults": (GnssOffset(east_m=25),)})
+    faulty = small.model_copy(update={"faults": (GnssOffset(east_m=25), PolesAdded(share=0.5))})
     broken = open_drive(
         simulate_drive(street, tmp_path / "b", 1, 3, faulty, images=False, objects=True)
     )
@@ -116,7 +117,11 @@ def test_faults_end_up_in_the_folder(
     assert broken.gnss is not None
     assert np.allclose(broken.gnss.east_m - sound.gnss.east_m, 25, atol=1e-3)
     assert np.allclose(broken.gnss.north_m, sound.gnss.north_m, atol=1e-3)
-    assert (tmp_path / "b" / "objects.geojson").exists()
+    true, mapped = (
+        set(map(tuple, read_map(tmp_path / "b" / name, broken.frame).points_m))
+        for name in ("objects.geojson", "mapped.geojson")
+    )
+    assert mapped < true
 
 
 def test_the_command(tmp_path: Path, street: Scenario) -> None:

@@ -14,8 +14,8 @@ from drivelog.drive import Drive, GnssStream, OdometryStream
 from drivelog.frames import EarthFrame
 from drivelog.samples import Image
 from polemap.landmark_map import PoleMap
-from simulate import faults
-from simulate.faults import Fault, apply_faults
+from simulate import faults, map_faults
+from simulate.faults import Fault, age_map, apply_faults
 from stereo.rig import StereoRig
 
 RIG = StereoRig(80, 60, 90.0, 39.5, 29.5, 0.3)
@@ -205,12 +205,19 @@ def test_maps_that_are_out_of_date() -> None:
         np.tile(np.eye(2) * 0.01, (count, 1, 1)), np.full(count, 0.2), np.full(count, 3.0),
         np.ones(count, np.int64), np.ones(count, np.int64), np.ones(count),
     )  # fmt: skip
-    fewer = faults.without_poles(pole_map, 0.3, rng)
+    fewer = map_faults.without_poles(pole_map, 0.3, rng)
     assert len(fewer) == pytest.approx(140, abs=4 * np.sqrt(count * 0.21))
     assert set(fewer.ids) <= set(pole_map.ids)
-    more = faults.with_extra_poles(pole_map, 0.25, rng)
+    more = map_faults.with_extra_poles(pole_map, 0.25, rng)
     assert len(more) == 250
     assert len(set(more.ids)) == 250
     assert np.array_equal(more.points_m[:count], pole_map.points_m)
     nearest = np.hypot(*(more.points_m[count:, None] - pole_map.points_m[None]).transpose(2, 0, 1))
     assert nearest.min(axis=1).max() <= 12.0
+    aged = [map_faults.PolesAdded(share=0.3), map_faults.PolesRemoved(share=0.25)]
+    both, again, other = (age_map(pole_map, aged, seed) for seed in (1, 1, 2))
+    assert np.array_equal(both.points_m, again.points_m)
+    assert not np.array_equal(both.ids, other.ids)
+    stands = len(set(map(tuple, both.points_m)) & set(map(tuple, pole_map.points_m)))
+    assert stands == pytest.approx(140, abs=4 * np.sqrt(count * 0.21))
+    assert len(both) == stands + round(0.25 * stands)
