@@ -10,6 +10,7 @@ Source: R. Labayrade et al., v-disparity, IV 2002, for the road as a line in (v,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ Floats = NDArray[np.float64]
 
 _BANDS_M = (0.6, 0.45, 0.3, 0.2, 0.15)  # half widths of the band of heights, shrinking
 _MIN_POINTS = 60
+_COLUMN_STEP = 8
 _ROLL_PULL_PX2 = 30.0  # as if the columns spread by so much less
 _LEAST_CAMERA_HEIGHT_M = 0.2
 
@@ -40,6 +42,7 @@ class Ground:
         return np.asarray(rows)
 
 
+@lru_cache(maxsize=64)
 def ground_from_mounting(rig: StereoRig) -> Ground:
     """The plane that a level car on a flat road would see."""
     # height of a camera point above the ground: r . point + z_mount = 0, times focal length / depth
@@ -60,28 +63,40 @@ def fit_ground(maps: UprightMaps, rig: StereoRig) -> Ground:
     step = maps.row_step_px
     thin = max(1, 4 // step)
     first = maps.left.shape[0] // 2
-    grid = maps.left[first::thin, ::8]
-    rows = np.arange(first, maps.left.shape[0], thin) * step
-    columns = np.arange(0, maps.left.shape[1], 8)
-    at_row, at_column = np.nonzero(grid > 0)
-    d = grid[at_row, at_column].astype(np.float64)
-    u, v = columns[at_column].astype(np.float64), rows[at_row].astype(np.float64)
-    design = np.stack([np.ones_like(u), u, v], axis=1)
+    grid = np.ascontiguousarray(maps.left[first::thin, ::_COLUMN_STEP])
+    at = np.flatnonzero(grid > 0)
+    at_row = at // grid.shape[1]
+    u = (at - at_row * grid.shape[1]) * float(_COLUMN_STEP)
+    v = at_row * float(thin * step) + float(first * step)
+    d = grid.ravel().take(at).astype(np.float64)
+    ones = np.ones_like(d)
+    design = np.concatenate([ones, u, v, d]).reshape(4, len(d))
     prior = np.array([ground.offset, ground.per_column, ground.per_row])
+    pull = np.diag([0.0, _ROLL_PULL_PX2, 0.0])
     coefficients = prior
     height_m = max(rig.vehicle_from_camera.z_m, _LEAST_CAMERA_HEIGHT_M)
+    # at equal depth a disparity residual r is a height of about r / d times the camera height
+    per_px = height_m / d
+    precision = per_px * per_px
+    weighted = np.empty((3, len(d)))
     for band_m in _BANDS_M:
-        expected = design @ coefficients
-        # at equal depth a disparity residual r is a height of about r / d times the camera height
-        height = height_m * (d - expected) / d
-        weight = np.clip(1.0 - (height / band_m) ** 2, 0.0, None) ** 2
-        weight *= (expected > 1.0) * (height_m / d) ** 2
+        expected = coefficients @ design[:3]
+        weight = d - expected
+        weight *= per_px  # the height above the plane
+        weight *= weight
+        weight *= -1.0 / band_m**2
+        weight += 1.0
+        np.maximum(weight, 0.0, out=weight)
+        weight *= weight
+        weight *= precision
+        weight *= expected > 1.0
         if np.count_nonzero(weight) < _MIN_POINTS:
             return ground
-        weighted = design * weight[:, None]
+        np.multiply(design[:3], weight, out=weighted)
+        sums = weighted @ design.T
         # a weak pull towards the mounting keeps the roll in place where the road is narrow
-        pull = np.diag([0.0, _ROLL_PULL_PX2, 0.0]) * weight.sum()
-        coefficients = np.linalg.solve(weighted.T @ design + pull, weighted.T @ d + pull @ prior)
+        hold = pull * sums[0, 0]
+        coefficients = np.linalg.solve(sums[:, :3] + hold, sums[:, 3] + hold @ prior)
     if coefficients[2] <= 0.3 * prior[2]:
         return ground
     return Ground(
