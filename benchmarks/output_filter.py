@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from localize.config import LocalizeConfig
 from localize.ctrv_kernel import unpack
+from localize.estimate import PfEstimate
 from localize.health import HealthRecord
 from localize.localizer import Localizer
 from localize.metrics import nees, pose_errors
 from localize.output_config import OutputConfig
 from localize.output_filter import OutputFilter
-from localize.particle_filter import PfEstimate
 from localize.replay import replay
 from simulate.point_drive import PointDrive, PointPose, point_drive
 from simulate.pole_street import pole_street

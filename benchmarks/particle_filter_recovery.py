@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from drivelog.samples import GnssFix, OdometrySample, PoleScan
 from localize.config import LocalizeConfig
-from localize.particle_filter import ParticleFilter, PfEstimate
+from localize.estimate import PfEstimate
+from localize.particle_filter import ParticleFilter
 from simulate.point_world import PointDrive, PointScenario, simulate_points
 from vehicle.pose import wrap_angle
 

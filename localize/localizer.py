@@ -20,10 +20,11 @@ from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, StereoFr
 from localize.calibration import OdometryCorrection
 from localize.clocks import StreamClock
 from localize.config import LocalizeConfig
+from localize.estimate import PfEstimate
 from localize.output_config import OutputConfig
 from localize.output_filter import OutputFilter, usable_pose
 from localize.output_limiter import OutputLimiter, OutputPose
-from localize.particle_filter import ParticleFilter, PfEstimate
+from localize.particle_filter import ParticleFilter
 from polemap.landmark_map import PoleMap
 from vehicle.delay import Placement
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 from drivelog.samples import GnssFix, OdometrySample, PoleScan
 from localize.calibration import OdometryCalibration, OdometryCorrection
 from localize.config import LocalizeConfig
+from localize.estimate import Event, PfEstimate
 from localize.exploration import LikelihoodAverages, normalized_quality
 from localize.gnss_fixes import GnssFixes
 from localize.health import HealthRecord, LostDetector
@@ -34,34 +33,8 @@ from polemap.landmark_map import PoleMap
 from vehicle.pose import shift_forward, wrap_angle
 
 Floats = NDArray[np.float64]
-Event = Literal["initialized", "reinitialized", "explored"]
-
 _RESTART_SHARE = 0.75
 _FIRST_SHARE = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class PfEstimate:
-    """What the filter says after a scan.
-
-    Attributes:
-        stamp_s, arrival_s: of the scan.
-        pose: `(3,)` east, north, yaw of the rear axle in the map's frame.
-        covariance: `(3, 3)`.
-        healthy: whether the pose may be used: one mode, narrow, and poles that fit or are absent.
-        modes: clusters of the cloud; above 1 the pose is one of several possible ones.
-        health: the row of health.csv.
-        event: "initialized", "reinitialized", "explored" or None.
-    """
-
-    stamp_s: float
-    arrival_s: float
-    pose: Floats
-    covariance: Floats
-    healthy: bool
-    modes: int
-    health: HealthRecord
-    event: Event | None
 
 
 class ParticleFilter:

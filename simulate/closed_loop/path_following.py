@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from drivelog.samples import GnssFix, OdometrySample
 from localize.config import LocalizeConfig
+from localize.estimate import PfEstimate
 from localize.localizer import Localizer
-from localize.particle_filter import PfEstimate
 from simulate.closed_loop.cars import PASSENGER_CAR, plant_of
 from simulate.closed_loop.road import Road, winding_road
 from simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState

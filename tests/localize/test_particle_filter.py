@@ -12,7 +12,8 @@ import pytest
 from drivelog.drive import open_drive
 from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
 from localize.config import LocalizeConfig
-from localize.particle_filter import ParticleFilter, PfEstimate
+from localize.estimate import PfEstimate
+from localize.particle_filter import ParticleFilter
 from polemap.build import build_map
 from polemap.config import PolemapConfig
 from polemap.landmark_map import PoleMap
