@@ -55,14 +55,16 @@ class TrackingConfig(BaseModel):
     )
     gate_probability: float = Field(0.99, gt=0.0, lt=1.0, description="Mass of the gate's ellipse.")
     width_sd_m: float = Field(0.12, gt=0.0, description="Of one width measurement.")
-    detection_probability: float = Field(0.75, gt=0.0, lt=1.0, description="In view, per frame.")
-    birth_probability: float = Field(0.5, ge=0.0, le=1.0, description="Least to begin a track.")
+    detection_probability: float = Field(
+        0.5, gt=0.0, lt=1.0, description="In view, per frame, of thin and far ones, too."
+    )
+    birth_probability: float = Field(0.3, ge=0.0, le=1.0, description="Least to begin a track.")
     gate_max_m: float = Field(2.5, gt=0.0, description="Of the gate, whatever the covariance.")
     period_s: float = Field(0.1, gt=0.0, description="Frames closer than this are less evidence.")
     error_time_s: float = Field(
         0.3, ge=0.0, description="Correlation time of a stem's position error."
     )
-    confirm_existence: float = Field(0.9, gt=0.0, lt=1.0)
+    confirm_existence: float = Field(0.85, gt=0.0, lt=1.0)
     confirm_hits: int = Field(2, ge=1)
     delete_existence: float = Field(0.05, gt=0.0, lt=1.0)
     forget_after_s: float = Field(3.0, gt=0.0, description="Not seen, not expected: dropped.")

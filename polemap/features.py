@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap import feature_products
 from polemap.ground import Ground
 from polemap.hypotheses import Stems
 from stereo.depth_edges import UprightMaps
@@ -23,12 +24,13 @@ Floats = NDArray[np.float64]
 HEIGHTS_M = np.arange(0.2, 3.3, 0.15)
 INSIDE = np.array([-0.25, 0.0, 0.25])  # of the width
 BESIDE_M = np.array([0.12, 0.25, 0.45, 0.75])  # beyond the flank
+_ABOVE_M = np.array([0.15, 0.3, 0.45, 0.6])  # beyond the top
 _CLEAR_PX = 2.5  # matchers blur a flank by about so much
 _FAR_M = 0.5  # depth difference that counts as free
 _ROWS = 24  # image rows along the stem for the gradient profile
 _REACH_PX = 5
 
-NAMES = (
+_SINGLE = (
     "log_height",  # upright extent with both flanks
     "log_run",  # longest unbroken part of it
     "on_share",  # of the visible heights that show the stem's surface
@@ -61,7 +63,12 @@ NAMES = (
     "pixels",  # log of the width in pixels
     "neighbours",  # other hypotheses of like depth within 1.5 m
     "border",
+    "same_beside",  # the stem's own depth beside it: part of something wide
+    "blank_beside",  # nothing measured beside it
+    "above_free",  # of the heights right above the top, those with free space
+    "above_same",  # those with the stem's own depth
 )
+NAMES = (*_SINGLE, *feature_products.NAMES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +139,18 @@ def measure(
         hidden = ((inside > d + tol).sum(axis=2) >= 2) & visible
         free_left, free_right = left < d - free, right < d - free
         near_beside = (left > d + tol).any(axis=2) | (right > d + tol).any(axis=2)
+        same_beside = (np.abs(left[..., :3] - d) <= tol).any(axis=2) | (
+            np.abs(right[..., :3] - d) <= tol
+        ).any(axis=2)
+        blank_beside = np.isnan(left[..., :3]).all(axis=2) | np.isnan(right[..., :3]).all(axis=2)
+        top_rows = stems.top_px[:, None] - _ABOVE_M * per_m[:, None]
+        top_centre = (stems.column_px + shift)[:, None] + stems.slope[:, None] * (
+            top_rows - stems.row_px[:, None]
+        )
+        above = _sample(maps.left, top_rows / maps.row_step_px, top_centre[:, :, None])[..., 0]
+        seen_above = np.maximum((top_rows >= 0).sum(axis=1), 1)
+        above_free = (above < (d - free)[..., 0]).sum(axis=1) / seen_above
+        above_same = (np.abs(above - d[..., 0]) <= tol[..., 0]).sum(axis=1) / seen_above
     open_ = visible & ~hidden
     both = on & free_left[..., :3].any(axis=2) & free_right[..., :3].any(axis=2)
     low = HEIGHTS_M <= 1.0
@@ -182,11 +201,17 @@ def measure(
         np.log(width_px),
         np.log(close.sum(axis=1)) if n else np.empty(0),
         border.astype(np.float64),
+        _share(on & same_beside, on),
+        _share(on & blank_beside, on),
+        above_free,
+        above_same,
     )
+    single = dict(zip(_SINGLE, columns, strict=True))
+    products = feature_products.products(single)
     foot_row = ground.row_px(stems.column_px, refined)
     foot_column = stems.column_px + shift + stems.slope * (foot_row - stems.row_px)
     return Profiles(
-        features=np.stack(columns, axis=1) if n else np.empty((0, len(NAMES))),
+        features=np.stack([*single.values(), *products.values()], axis=1),
         left_px=left_px,
         right_px=right_px,
         foot_column_px=foot_column,

@@ -136,7 +136,7 @@ def test_one_doubtful_sighting_is_not_confirmed_and_two_good_ones_are() -> None:
     tracker.update(sighting(0.1, [10.0, 0.0], probability=0.97))
     assert tracker.tracks.confirmed.all()
     faint = PoleTracker(CONFIG)
-    faint.update(sighting(0.0, [10.0, 0.0], probability=0.3))
+    faint.update(sighting(0.0, [10.0, 0.0], probability=0.25))
     assert len(faint.tracks) == 0
 
 
