@@ -33,7 +33,7 @@ from simulate.route import Route, make_route
 from simulate.scenario import Scenario, load_scenario
 from simulate.traffic import make_traffic, moving_mesh
 from simulate.truth import (
-    TRUTH_FILES,
+    carry_truth,
     to_disparity_png,
     to_owner_png,
     write_truth,
@@ -267,16 +267,14 @@ def _faulty(
             objects=objects, images=images, advance=advance,
         )  # fmt: skip
         broken = Path(place) / "broken"
-        drive = open_drive(base)
-        write_drive(apply_faults(drive, config.faults, seed), broken)
+        faulty = apply_faults(open_drive(base), config.faults, seed)
+        write_drive(faulty, broken)
+        carry_truth(base, broken, faulty.frame_numbers)
         if objects:
-            true = read_map(base / "objects.geojson", drive.frame)
+            true = read_map(base / "objects.geojson", faulty.frame)
             aged = age_map(true, config.faults, seed)
             if aged is not true:
                 write_map(aged, broken / "mapped.geojson")
-        for name in TRUTH_FILES:
-            if (base / name).exists():
-                shutil.copy(base / name, broken / name)
         with atomic_folder(out) as folder:
             shutil.copytree(broken, folder, dirs_exist_ok=True)
     return out

@@ -94,7 +94,7 @@ def write_pairs(drive: Drive, sides: tuple[Path, Path], digits: int) -> None:
         frame = drive.read_frame(row)
         for side, image in zip(sides, (frame.left, frame.right), strict=True):
             if image.dtype != np.uint8:
-                raise ConfigError("the KITTI layout has 8-bit pictures: set camera.bits=8")
+                raise ConfigError("the KITTI layout has 8-bit pictures: set simulate.camera.bits=8")
             done, data = cv2.imencode(".png", image)
             if not done:
                 raise InputError(f"{side}: picture {row} cannot be encoded")

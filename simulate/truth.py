@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 TRUTH_FILES = ("objects.geojson", "standing.csv", "truth.csv", "signals.csv")
+TRUTH_PICTURES = ("disparity_left", "disparity_right", "objects")
 # the truth has no spread; a map needs one that can be inverted
 _TRUTH_SD_M = 0.001
 _EVERY = 4
@@ -108,10 +110,22 @@ def write_truth_pictures(
     owner: NDArray[np.uint16],
 ) -> None:  # fmt: skip
     """Writes truth/disparity_left, truth/disparity_right and truth/objects beside a frame."""
-    for name, image in (("disparity_left", left), ("disparity_right", right), ("objects", owner)):
+    for name, image in zip(TRUTH_PICTURES, (left, right, owner), strict=True):
         target = folder / "truth" / name
         target.mkdir(parents=True, exist_ok=True)
         done, data = cv2.imencode(".png", image)
         if not done:
             raise InputError(f"{target}: picture {number} cannot be encoded")
         (target / f"{number:06d}.png").write_bytes(data.tobytes())
+
+
+def carry_truth(sound: Path, broken: Path, numbers: NDArray[np.int64]) -> None:
+    """Copies the truth of a drive to its faulty copy, whose picture k was `numbers[k]` there."""
+    for name in TRUTH_FILES:
+        if (sound / name).exists():
+            shutil.copy(sound / name, broken / name)
+    for name in TRUTH_PICTURES if (sound / "truth").exists() else ():
+        (broken / "truth" / name).mkdir(parents=True)
+        for row, number in enumerate(numbers):
+            place = Path("truth") / name
+            shutil.copy(sound / place / f"{number:06d}.png", broken / place / f"{row:06d}.png")

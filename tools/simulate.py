@@ -61,6 +61,10 @@ def command(
             f"simulate: --format {layout} is unknown; use folder, kitti_odometry or kitti_raw"
         )
     settings = load_settings(config, set_values)
+    if layout != "folder" and settings.simulate.camera.bits != 8:
+        raise ConfigError(
+            f"simulate: --format {layout} has 8-bit pictures: set simulate.camera.bits=8"
+        )
     frames = count_frames(scenario, laps, seed, settings.simulate) if images else 0
     with progress(frames, f"simulating {scenario}") as advance:
         if layout == "folder":

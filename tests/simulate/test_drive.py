@@ -11,11 +11,12 @@ import yaml
 from typer.testing import CliRunner
 
 from drivelog.drive import open_drive
+from drivelog.errors import ConfigError
 from polemap.io import read_map
 from simulate import drive as module
 from simulate.config import RenderConfig, SimulateConfig
 from simulate.drive import count_frames, simulate_drive
-from simulate.faults import GnssOffset
+from simulate.faults import DroppedFrames, GnssOffset
 from simulate.map_faults import PolesAdded
 from simulate.scenario import Scenario
 from tools.cli import build_app
@@ -124,6 +125,25 @@ def test_faults_end_up_in_the_folder(
     assert mapped < true
 
 
+def test_the_truth_of_a_picture_goes_with_it_when_others_are_lost(
+    tmp_path: Path, street: Scenario, small: SimulateConfig
+) -> None:
+    exact = small.model_copy(update={"render": RenderConfig(workers=1, truth_images=True)})
+    folders = []
+    for name, lost in (("s", ()), ("b", (DroppedFrames(from_s=2, until_s=6),))):
+        config = exact.model_copy(update={"faults": lost})
+        folders.append(simulate_drive(street, tmp_path / name, 1, 3, config))
+    sound, broken = (open_drive(folder) for folder in folders)
+    assert 3 < len(broken.frame_stamps_s) < len(sound.frame_stamps_s)
+    for kind in ("disparity_left", "disparity_right", "objects"):
+        files = sorted((folders[1] / "truth" / kind).glob("*.png"))
+        assert len(files) == len(broken.frame_stamps_s)
+        for file, stamp in zip(files, broken.frame_stamps_s, strict=True):
+            (row,) = np.flatnonzero(np.isclose(sound.frame_stamps_s, stamp, atol=1e-6))
+            original = folders[0] / "truth" / kind / f"{row:06d}.png"
+            assert file.read_bytes() == original.read_bytes()
+
+
 def test_the_command(tmp_path: Path, street: Scenario) -> None:
     world = tmp_path / "street.yaml"
     world.write_text(yaml.safe_dump(street.model_dump(mode="json")))
@@ -135,3 +155,7 @@ def test_the_command(tmp_path: Path, street: Scenario) -> None:
     assert open_drive(out).odometry is not None
     named = runner.invoke(app, ["simulate", "--list"])
     assert "park_loop" in named.output
+    deep = ["--format", "kitti_raw", "--set", "simulate.camera.bits=12"]
+    refused = runner.invoke(app, ["simulate", str(world), "--out", str(tmp_path / "k"), *deep])
+    assert isinstance(refused.exception, ConfigError)
+    assert "simulate.camera.bits=8" in str(refused.exception)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -66,6 +67,26 @@ def test_a_post_stands_where_the_rig_projects_it(
         assert (seen[0] + seen[-1]) / 2 == pytest.approx(column, abs=0.75)
         width = 0.3 * RIG.focal_px / 8.5
         assert len(seen) == pytest.approx(width, abs=1.5)
+
+
+@pytest.mark.parametrize(("axis", "moved"), [(0, (0.0, 1.0)), (1, (-1.0, 0.0))])
+def test_a_right_camera_out_of_true_sees_things_shifted(
+    renderer: Renderer, axis: int, moved: tuple[float, float]
+) -> None:
+    angle = np.deg2rad(4.0)
+    tilt = cv2.Rodrigues(angle * np.eye(3)[axis])[0]
+    centres = []
+    for right_tilt in (None, tilt):
+        left, right = renderer.pair(
+            camera_poses(RIG, np.zeros(3), np.eye(3), right_tilt), NOTHING
+        )  # fmt: skip
+        rows, columns = np.nonzero(right.owner == 7)
+        # the post's foot: its top leaves the picture
+        foot = rows.max()
+        centres.append((columns[rows == foot - 2].mean(), float(foot)))
+        assert (left.owner == 7).any()
+    shift = np.subtract(centres[1], centres[0])
+    assert shift == pytest.approx(np.array(moved) * RIG.focal_px * np.tan(angle), abs=1.6)
 
 
 def test_left_and_right_agree_where_both_see(
