@@ -1,12 +1,12 @@
 """How right disparities are, on pairs with ground truth.
 
-    python -m benchmarks.stereo_accuracy FOLDER... [--curve PICTURE.png] [--calibrate] [--every N]
+    python -m benchmarks.stereo_accuracy FOLDER... [--calibrate] [--every N]
 
-A FOLDER is a KITTI 2015 or 2012 `training` folder (or the one above it) or one with Middlebury
-scenes (teddy, cones: `*02.png`, `*06.png` and `disp*02.png`); without one the rendered poles are
-scored. OpenCV's variants stand beside the census matcher. `--curve` trades density against error
-by margin, speckle size and uniqueness and draws that, `--calibrate` prints the tables of
-stereo/error_model.py.
+A FOLDER is a KITTI 2015 or 2012 `training` folder (or the one above it), a KITTI raw folder with
+LiDAR depth in `depth/`, or one with Middlebury scenes (teddy, cones: `*02.png`, `*06.png` and
+`disp*02.png`); without one the rendered poles are scored. OpenCV's variants stand beside the
+census matcher. `--calibrate` prints the tables of stereo/error_model.py and the laws of
+stereo/trust.py. `python -m benchmarks.stereo_curves` trades density against error.
 """
 
 from __future__ import annotations
@@ -14,45 +14,20 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.stereo_curves import fitted_law, signs
 from benchmarks.stereo_pairs import Pair, read_pairs
 from benchmarks.stereo_scenes import PoleScore, rendered_scene, score_poles
-from stereo.checks import without_speckles
-from stereo.config import OpenCvConfig, StereoConfig
+from benchmarks.stereo_variants import variants
+from stereo.config import StereoConfig
 from stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
 from stereo.matching import StereoMatcher, make_matcher
+from stereo.trust import TrustLaw
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
-
-
-def variants(disparities: int = 128) -> dict[str, StereoConfig]:
-    """The census matcher's main settings, and OpenCV behind every preprocessing."""
-    found = {
-        "census": StereoConfig(disparities=disparities),
-        "census shared": StereoConfig(disparities=disparities, right_map="shared"),
-        "census 4 paths": StereoConfig(disparities=disparities, paths=4),
-    }
-    base: dict[str, Any] = {"matcher": "opencv_sgbm", "disparities": disparities}
-    settings: list[dict[str, Any]] = [
-        {"preprocessing": "none", "block_size_px": 5, "p1": 16, "p2": 64},
-        {"preprocessing": "none", "block_size_px": 3, "p1": 8, "p2": 32},
-        {"preprocessing": "clahe", "block_size_px": 3, "p1": 24, "p2": 96},
-        {"preprocessing": "clahe", "block_size_px": 3, "p1": 8, "p2": 32},
-        {"preprocessing": "rank7x7", "block_size_px": 3, "p1": 24, "p2": 96},
-        {"preprocessing": "partial_ranks", "block_size_px": 3, "p1": 24, "p2": 96},
-        {"preprocessing": "census_bytes", "block_size_px": 3, "p1": 24, "p2": 96},
-    ]
-    for options in settings:
-        name = f"opencv 3way {options['preprocessing']} {options['block_size_px']} {options['p1']}"
-        found[name] = StereoConfig(**base, opencv=OpenCvConfig(**options))
-    for mode in ("sgbm", "hh"):
-        options = {**settings[0], "mode": mode}
-        found[f"opencv {mode} none 5 16"] = StereoConfig(**base, opencv=OpenCvConfig(**options))
-    return found
 
 
 def rate(pairs: list[Pair], maps: list[NDArray[np.float32]]) -> dict[str, float]:
@@ -80,82 +55,8 @@ def score(matcher: StereoMatcher, pairs: list[Pair]) -> dict[str, float]:
     return {**rate(pairs, maps), "median_ms": float(np.median(times))}
 
 
-SPECKLES_PX = (0, 100, 400, 1500)
-MARGINS = (0, 2, 5, 10, 20, 30, 45, 60, 80)
-UNIQUENESS_PERCENT = (0, 10, 25)
-
-
-def curves(pairs: list[Pair]) -> dict[str, list[tuple[float, float]]]:
-    """`(density, error)` in percent: the census matcher by speckle size and by least margin, and
-    each of OpenCV's variants by uniqueness, without and with the same speckle filter.
-    """
-    found: dict[str, list[tuple[float, float]]] = {}
-
-    def add(name: str, maps: list[NDArray[np.float32]]) -> None:
-        row = rate(pairs, maps)
-        found.setdefault(name, []).append((row["density_percent"], row["error_percent"]))
-
-    def left_maps(config: StereoConfig, **change: int) -> list[NDArray[np.float32]]:
-        matcher = make_matcher(config.model_copy(update=change))
-        return [matcher.match(pair.left, pair.right).left for pair in pairs]
-
-    default = StereoConfig()
-    for name, config in variants().items():
-        for percent in UNIQUENESS_PERCENT if config.matcher == "opencv_sgbm" else ():
-            maps = left_maps(config, uniqueness_percent=percent, speckle_px=0)
-            for size in (0, default.speckle_px):
-                cleaned = [without_speckles(m, size, default.speckle_step_px) for m in maps]
-                add(f"{name}, speckles {size}", cleaned)
-    for size in SPECKLES_PX:
-        add("census by speckle size", left_maps(default, speckle_px=size))
-    found["census by margin"] = curve(make_matcher(default), pairs)
-    return found
-
-
-def draw_curves(found: dict[str, list[tuple[float, float]]], path: Path) -> None:
-    """Density to the right, error upwards."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 6))
-    axes = figure.subplots()
-    for name, points in found.items():
-        ours = name.startswith("census")
-        density, error = zip(*points, strict=True)
-        label = name if ours or "speckles 0" not in name else None
-        colour = "tab:red" if ours else ("tab:blue" if "speckles 0" not in name else "0.75")
-        axes.plot(density, error, "o-" if ours else ".-", color=colour, lw=2 if ours else 0.8)
-        axes.annotate(label or "", points[0], fontsize=6)
-    axes.plot([92, 92, 100], [0, 3.5, 3.5], "k--", lw=0.8)
-    axes.set(xlabel="density [%]", ylabel="error [%]", xlim=(60, 100), ylim=(0, 12))
-    figure.savefig(path, dpi=120)
-
-
-def curve(matcher: StereoMatcher, pairs: list[Pair]) -> list[tuple[float, float]]:
-    """`(density, error)` in percent as the smallest margin of the winner rises.
-
-    Raises:
-        SystemExit: a matcher without margins.
-    """
-    margins, wrongs, valid = [], [], 0
-    for pair in pairs:
-        maps = matcher.match(pair.left, pair.right)
-        if maps.left_margin is None:
-            raise SystemExit(f"{matcher.name} has no margins to draw a curve by")
-        truth = pair.non_occluded()
-        found = truth & np.isfinite(maps.left)
-        margins.append(maps.left_margin[found])
-        wrongs.append(pair.wrong(maps.left)[found])
-        valid += int(truth.sum())
-    margin, wrong = np.concatenate(margins), np.concatenate(wrongs)
-    rows = []
-    for limit in MARGINS:
-        keep = margin >= limit
-        rows.append((100 * keep.sum() / valid, 100 * wrong[keep].mean()))
-    return rows
-
-
 def calibrate(matcher: StereoMatcher, pairs: list[Pair]) -> DisparityErrorModel:
-    """The tables of the error model from the pairs, on the grids of the model in use."""
+    """The table of the error model from the pairs, on the grids of the model in use."""
     model = DisparityErrorModel()
     greys, margins, errors = [], [], []
     for pair in pairs:
@@ -168,14 +69,23 @@ def calibrate(matcher: StereoMatcher, pairs: list[Pair]) -> DisparityErrorModel:
     grey, margin, error = map(np.concatenate, (greys, margins, errors))
     rows = np.digitize(grey, np.sqrt(model.texture_grid[1:] * model.texture_grid[:-1]))
     columns = np.digitize(margin, (model.margin_grid[1:] + model.margin_grid[:-1]) / 2)
-    sd, outliers = model.sd_px_table.copy(), model.outlier_table.copy()
+    sd = model.sd_px_table.copy()
     for i in range(sd.shape[0]):
         for j in range(sd.shape[1]):
             cell = error[(rows == i) & (columns == j)]
             if len(cell) > 200:
                 sd[i, j] = np.sqrt(np.mean(cell[cell < OUTLIER_PX] ** 2))
-                outliers[i, j] = np.mean(cell >= OUTLIER_PX)
-    return DisparityErrorModel(model.texture_grid, model.margin_grid, sd, outliers)
+    return DisparityErrorModel(model.texture_grid, model.margin_grid, sd)
+
+
+def trust_laws(pairs: list[Pair]) -> dict[str, TrustLaw]:
+    """The law of stereo/trust.py fitted to both matchers' maps of the pairs."""
+    found = {}
+    for config in (StereoConfig(), StereoConfig(matcher="opencv_sgbm")):
+        matcher = make_matcher(config)
+        samples = [signs(pair, matcher.match(pair.left, pair.right)) for pair in pairs]
+        found[matcher.name] = fitted_law(samples)
+    return found
 
 
 def score_rendered(config: StereoConfig, seeds: range, **scene: float) -> dict[str, float]:
@@ -208,7 +118,7 @@ def run() -> dict[str, dict[str, float]]:
     results = {}
     chosen = {name: config for name, config in variants().items() if name.startswith("census")}
     chosen["opencv 3way none 5 16"] = variants()["opencv 3way none 5 16"]
-    for folder in ("kitti_2015", "middlebury"):
+    for folder in ("kitti_2015", "kitti_raw", "middlebury"):
         pairs = list(read_pairs(SHARED / folder)) if (SHARED / folder).exists() else []
         for name, config in chosen.items() if pairs else ():
             results[f"{folder} {name}"] = score(make_matcher(config), pairs)
@@ -224,7 +134,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--curve", type=Path, metavar="PICTURE.png")
     parser.add_argument("--calibrate", action="store_true")
     parser.add_argument("--every", type=int, default=1, help="only every Nth pair")
     options = parser.parse_args()
@@ -234,8 +143,8 @@ def main() -> None:
         if not pairs:
             raise SystemExit(f"{folder}: neither KITTI nor Middlebury pairs with ground truth")
         if options.calibrate:
-            model = calibrate(make_matcher(StereoConfig()), pairs)
-            print(model.sd_px_table, model.outlier_table, sep="\n")
+            print(calibrate(make_matcher(StereoConfig()), pairs).sd_px_table)
+            print(*trust_laws(pairs).items(), sep="\n")
             continue
         for name, config in variants().items():
             matcher = make_matcher(config)
@@ -243,11 +152,6 @@ def main() -> None:
             if name == "census" and len(pairs) > 3:
                 for half in (0, 1):
                     _show(f"{folder.name} {name}, half {half + 1}", score(matcher, pairs[half::2]))
-        if options.curve is not None:
-            found = curves(pairs)
-            for name, points in found.items():
-                print(name, *(f"{error:.2f}@{density:.1f}" for density, error in points))
-            draw_curves(found, options.curve)
     if options.folders:
         return
     for name, config in variants(64).items():

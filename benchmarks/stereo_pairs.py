@@ -1,4 +1,4 @@
-"""Stereo pairs with ground truth: KITTI 2012, KITTI 2015 and Middlebury folders."""
+"""Stereo pairs with ground truth: KITTI 2012, KITTI 2015, KITTI raw and Middlebury folders."""
 
 from __future__ import annotations
 
@@ -64,8 +64,42 @@ def _truth(path: Path, scale: float) -> NDArray[np.float32]:
     return np.where(raw > 0, raw / scale, np.nan).astype(np.float32)
 
 
+def _rectified_projection(calibration: Path, camera: str) -> NDArray[np.float64]:
+    """3x4 matrix of a rectified camera of a KITTI raw `calib_cam_to_cam.txt`."""
+    for line in calibration.read_text(encoding="utf-8").splitlines():
+        if line.startswith(f"P_rect_{camera}:"):
+            return np.array(line.split()[1:], dtype=float).reshape(3, 4)
+    raise SystemExit(f"{calibration}: no line P_rect_{camera}")
+
+
+def read_raw_pairs(folder: Path) -> Iterator[Pair]:
+    """Both views of the frames of a KITTI raw folder that have LiDAR depth for either camera.
+
+    `depth/DRIVE/image_02/FRAME.png` is depth x 256 in metres (KITTI's depth benchmark: eleven scans
+    together, freed of what contradicts a stereo match, so hard pixels are rare in it). The pair
+    of the right view is the mirrored one, whose left view it is.
+    """
+    for path in sorted((folder / "depth").glob("*/image_02/*.png")):
+        drive = path.parts[-3]
+        calibration = folder / drive[:10] / "calib_cam_to_cam.txt"
+        near, far = (_rectified_projection(calibration, camera) for camera in ("02", "03"))
+        depth_to_disparity = near[0, 3] - far[0, 3]  # focal length x baseline
+        images, truths = [], []
+        for camera in ("image_02", "image_03"):
+            images.append(_grey(folder / drive[:10] / drive / camera / "data" / path.name))
+            depth = _truth(path.parents[1] / camera / path.name, 256.0)
+            truths.append((depth_to_disparity / depth).astype(np.float32))
+        yield Pair(f"{path.stem} left", images[0], images[1], truths[0], True)
+        mirrored = [np.ascontiguousarray(x[:, ::-1]) for x in images]
+        truth = np.ascontiguousarray(truths[1][:, ::-1])
+        yield Pair(f"{path.stem} right", mirrored[1], mirrored[0], truth, True)
+
+
 def read_pairs(folder: Path) -> Iterator[Pair]:
     """The pairs of a KITTI or Middlebury folder."""
+    if (folder / "depth").is_dir():
+        yield from read_raw_pairs(folder)
+        return
     folder = folder / "training" if (folder / "training").is_dir() else folder
     kitti = [
         (left, right, truth)

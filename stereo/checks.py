@@ -44,17 +44,26 @@ def check_pair(left: Image, right: Image, config: StereoConfig, rig: StereoRig |
         )
 
 
-def _consistent(disparity: Disparity, other: Disparity, sign: int, limit: float) -> Disparity:
-    """`disparity` where the partner in `other` agrees to within `limit`, NaN elsewhere."""
+def difference_px(disparity: Disparity, other: Disparity, sign: int) -> Disparity:
+    """|disparity - the partner's in the other view|, infinite where either is missing.
+
+    `sign` is -1 for the left view, whose partners lie to the left, and +1 for the right.
+    """
     width = disparity.shape[1]
     known = np.isfinite(disparity)
     step = np.floor(np.where(known, disparity, np.float32(0)) + np.float32(0.5)).astype(np.int64)
     partner = np.arange(width) + sign * step
     known &= (partner >= 0) & (partner < width)
     seen = np.take_along_axis(other, np.clip(partner, 0, width - 1), axis=1)
+    known &= np.isfinite(seen)
     with np.errstate(invalid="ignore"):
-        known &= np.abs(seen - disparity) <= np.float32(limit)
-    return np.where(known, disparity, np.float32(np.nan))
+        return np.where(known, np.abs(seen - disparity), np.float32(np.inf))
+
+
+def _consistent(disparity: Disparity, other: Disparity, sign: int, limit: float) -> Disparity:
+    """`disparity` where the partner in `other` agrees to within `limit`, NaN elsewhere."""
+    agrees = difference_px(disparity, other, sign) <= np.float32(limit)
+    return np.where(agrees, disparity, np.float32(np.nan))
 
 
 def check_left_right(

@@ -113,6 +113,8 @@ class StereoConfig(BaseModel):
         speckle_px: connected components of fewer pixels are removed, 0 for none ...
         speckle_rows: ... unless they are at least this tall, as what is left of a thin pole is.
         speckle_step_px: neighbours are connected if their disparities differ by no more.
+        outlier_chance_max: disparities whose chance of being over 3 px off (`stereo/trust.py`) is
+            larger are dropped, in both views; 1 keeps all.
         outside_cost: matching cost where the partner would lie outside the other image.
         cost_weight: how often the matching cost counts in the sum over paths, beside what each
             path adds to it. In plain semi-global matching it counts once a path (8), so that one
@@ -139,6 +141,7 @@ class StereoConfig(BaseModel):
     speckle_px: int = Field(default=400, ge=0, le=100_000)
     speckle_rows: int = Field(default=16, ge=1, le=100_000)
     speckle_step_px: float = Field(default=1.0, ge=0.0, le=16.0)
+    outlier_chance_max: float = Field(default=1.0, gt=0.0, le=1.0)
     outside_cost: int = Field(default=12, ge=0, le=24)
     cost_weight: int = Field(default=1, ge=1, le=16)
     threads: int = Field(default=2, ge=1, le=64)

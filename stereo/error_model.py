@@ -1,9 +1,9 @@
 """How far a disparity may be off, and what that means for a point on the ground.
 
-The tables were measured with `python -m benchmarks.stereo_accuracy KITTI_2015 --calibrate` on every
+The table was measured with `python -m benchmarks.stereo_accuracy KITTI_2015 --calibrate` on every
 second pair of the training set (default settings of the census matcher); the other pairs are the
-test. They include the error of that ground truth itself, so they are rather too large than too
-small.
+test. It includes the error of that ground truth itself, so it is rather too large than too small.
+Outliers are left out of it: how likely they are, `stereo/trust.py` says.
 """
 
 from __future__ import annotations
@@ -33,14 +33,6 @@ _SD_PX = (
     (1.10, 1.06, 1.01, 0.92, 0.85, 0.77, 0.74, 0.75, 0.72),
     (1.06, 1.15, 1.12, 1.09, 0.98, 0.89, 0.86, 0.83, 0.78),
 )
-_OUTLIERS = (
-    (0.13, 0.10, 0.07, 0.06, 0.03, 0.02, 0.02, 0.01, 0.00),
-    (0.11, 0.09, 0.07, 0.05, 0.03, 0.02, 0.02, 0.01, 0.00),
-    (0.11, 0.09, 0.06, 0.04, 0.02, 0.02, 0.01, 0.01, 0.00),
-    (0.12, 0.11, 0.08, 0.06, 0.02, 0.01, 0.01, 0.01, 0.00),
-    (0.13, 0.11, 0.10, 0.08, 0.05, 0.03, 0.01, 0.01, 0.00),
-    (0.23, 0.22, 0.21, 0.15, 0.10, 0.07, 0.03, 0.01, 0.00),
-)
 
 
 def texture(image: Image, bits: int = 8) -> Floats:
@@ -64,7 +56,6 @@ class DisparityErrorModel:
         texture_grid: `(m,)` ascending grey values; between them linear in the logarithm.
         margin_grid: `(n,)` ascending, 0 to 255.
         sd_px_table: `(m, n)` standard deviation of what is no outlier.
-        outlier_table: `(m, n)` share of errors over 3 px.
 
     Raises:
         StereoError: tables that do not fit their grids, or values that cannot be.
@@ -73,32 +64,25 @@ class DisparityErrorModel:
     texture_grid: Floats = field(default_factory=lambda: np.array(_TEXTURE))
     margin_grid: Floats = field(default_factory=lambda: np.array(_MARGIN))
     sd_px_table: Floats = field(default_factory=lambda: np.array(_SD_PX))
-    outlier_table: Floats = field(default_factory=lambda: np.array(_OUTLIERS))
 
     def __post_init__(self) -> None:
         shape = (len(self.texture_grid), len(self.margin_grid))
-        if self.sd_px_table.shape != shape or self.outlier_table.shape != shape:
-            raise StereoError(f"an error model with grids of {shape} needs tables of that shape")
+        if self.sd_px_table.shape != shape:
+            raise StereoError(f"an error model with grids of {shape} needs a table of that shape")
         if not (np.diff(self.texture_grid) > 0).all() or not (np.diff(self.margin_grid) > 0).all():
             raise StereoError("the grids of an error model must ascend")
         if not (self.sd_px_table > 0).all() or not (self.texture_grid > 0).all():
             raise StereoError("an error model needs positive standard deviations and textures")
 
     def sd_px(self, texture: Floats, margin: NDArray[np.uint8] | Floats) -> Floats:
-        """Standard deviation of disparity, broadcast over both arguments."""
-        return self._look_up(self.sd_px_table, texture, margin)
+        """Standard deviation of disparity, broadcast over both arguments.
 
-    def outlier_share(self, texture: Floats, margin: NDArray[np.uint8] | Floats) -> Floats:
-        """Probability of an error over 3 px."""
-        return self._look_up(self.outlier_table, texture, margin)
-
-    def _look_up(
-        self, table: Floats, texture: Floats, margin: NDArray[np.uint8] | Floats
-    ) -> Floats:
-        """Bilinear in log texture and margin, constant outside the grids."""
+        Bilinear in log texture and margin, constant outside the grids.
+        """
         logs = np.log(np.maximum(np.asarray(texture, dtype=np.float64), 1e-6))
         row, down = _place(np.log(self.texture_grid), logs)
         column, right = _place(self.margin_grid, np.asarray(margin, dtype=np.float64))
+        table = self.sd_px_table
         upper = table[row, column] * (1 - right) + table[row, column + 1] * right
         lower = table[row + 1, column] * (1 - right) + table[row + 1, column + 1] * right
         return np.asarray(upper * (1 - down) + lower * down)

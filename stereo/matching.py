@@ -10,6 +10,7 @@ from stereo.config import StereoConfig
 from stereo.matching_types import DisparityPair, Image, StereoMatcher
 from stereo.opencv_sgbm import OpenCvSgbm
 from stereo.rig import StereoRig
+from stereo.trust import DoubtFilter
 
 __all__ = ["DisparityPair", "Image", "StereoMatcher", "make_matcher"]
 
@@ -32,6 +33,13 @@ def make_matcher(config: StereoConfig, rig: StereoRig | None = None) -> StereoMa
     Raises:
         StereoError: the machine lacks the instruction set that the configuration asks for.
     """
+    matcher = _plain_matcher(config, rig)
+    if config.outlier_chance_max >= 1.0:
+        return matcher
+    return DoubtFilter(matcher, config.outlier_chance_max)
+
+
+def _plain_matcher(config: StereoConfig, rig: StereoRig | None) -> StereoMatcher:
     if config.matcher == "opencv_sgbm":
         return OpenCvSgbm(config, rig)
     try:

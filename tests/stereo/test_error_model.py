@@ -23,20 +23,17 @@ from stereo.rig import Mounting, StereoRig
 RIG = StereoRig(768, 480, 820.0, 383.5, 239.5, 0.3, Mounting(1.9, 0.15, 1.3, 0.01, 0.03, -0.1))
 
 
-@given(st.floats(0, 300), st.floats(0, 255), st.floats(0, 255))
-def test_a_clearer_winner_is_not_less_certain(grey, one, other):
+@given(st.floats(0, 300), st.floats(0, 255))
+def test_between_the_grids_the_table_is_not_left(grey, margin):
     model = DisparityErrorModel()
-    low, high = sorted((one, other))
-    assert model.outlier_share(grey, high) <= model.outlier_share(grey, low) + 1e-12
-    sd = float(model.sd_px(grey, low))
-    assert model.sd_px_table.min() <= sd <= model.sd_px_table.max()
+    sd = float(model.sd_px(grey, margin))
+    assert model.sd_px_table.min() - 1e-12 <= sd <= model.sd_px_table.max() + 1e-12
 
 
 def test_the_table_is_met_on_its_grid():
     model = DisparityErrorModel()
     t, m = np.meshgrid(model.texture_grid, model.margin_grid, indexing="ij")
     np.testing.assert_allclose(model.sd_px(t, m), model.sd_px_table)
-    np.testing.assert_allclose(model.outlier_share(t, m), model.outlier_table)
 
 
 def test_texture_is_the_slope_of_a_ramp_in_8_bit_grey():
@@ -71,7 +68,7 @@ def test_range_grows_with_the_square_of_depth():
 
 
 def test_a_broken_table_is_refused():
-    with pytest.raises(StereoError, match="tables of that shape"):
+    with pytest.raises(StereoError, match="table of that shape"):
         DisparityErrorModel(margin_grid=np.array([1.0, 2.0]))
     with pytest.raises(StereoError, match="ascend"):
         DisparityErrorModel(margin_grid=DisparityErrorModel().margin_grid[::-1].copy())
@@ -83,7 +80,7 @@ def test_recorded_errors_are_as_large_as_the_model_says(recording):
     pytest.importorskip("stereo.native.census_kernel")
     folder = recording("kitti_2015") / "training"
     matcher, model = make_matcher(StereoConfig()), DisparityErrorModel()
-    squares, outliers, expected = [], [], []
+    squares = []
     for number in (2, 4, 8, 10, 12):  # not among the pairs of the calibration
         name = f"{number:06d}_10.png"
         left, right = (cv2.imread(str(folder / f"image_{k}" / name), 0) for k in (2, 3))
@@ -94,9 +91,5 @@ def test_recorded_errors_are_as_large_as_the_model_says(recording):
         grey, margin = texture(left)[known], pair.left_margin[known]
         inlier = error < OUTLIER_PX
         squares.append((error / model.sd_px(grey, margin))[inlier] ** 2)
-        outliers.append(~inlier)
-        expected.append(model.outlier_share(grey, margin))
     # errors within a frame hang together, so pairs count rather than pixels: a factor of 1.3
     assert 1 / 1.3 < np.sqrt(np.concatenate(squares).mean()) < 1.3
-    share = np.concatenate(outliers).mean() / np.concatenate(expected).mean()
-    assert 0.5 < share < 2.0
