@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap import feature_products
+from polemap.flanks import sharpen
 from polemap.ground import Ground
 from polemap.hypotheses import Stems
 from stereo.depth_edges import UprightMaps
@@ -24,11 +25,10 @@ Floats = NDArray[np.float64]
 HEIGHTS_M = np.arange(0.2, 3.3, 0.15)
 INSIDE = np.array([-0.25, 0.0, 0.25])  # of the width
 BESIDE_M = np.array([0.12, 0.25, 0.45, 0.75])  # beyond the flank
+_PARTS = (len(INSIDE), len(INSIDE) + len(BESIDE_M))  # samples inside, right, left
 _ABOVE_M = np.array([0.15, 0.3, 0.45, 0.6])  # beyond the top
 _CLEAR_PX = 2.5  # matchers blur a flank by about so much
 _FAR_M = 0.5  # depth difference that counts as free
-_ROWS = 24  # image rows along the stem for the gradient profile
-_REACH_PX = 5
 
 _SINGLE = (
     "log_height",  # upright extent with both flanks
@@ -69,6 +69,8 @@ _SINGLE = (
     "above_same",  # those with the stem's own depth
 )
 NAMES = (*_SINGLE, *feature_products.NAMES)
+_CLEAR, _CLEAR_LOW, _ON, _VISIBLE = 11, 12, 13, 14  # rows of the counts
+_SHARE_OF = [_CLEAR, _CLEAR_LOW, _ON, _ON, _ON, _ON, _ON, _VISIBLE, _ON, _ON, _ON]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,28 +110,34 @@ def measure(
     """Features and refined geometry of every hypothesis."""
     n = len(stems)
     per_m = stems.disparity_px / rig.baseline_m  # pixels a metre at the stem
-    left_px, right_px, flank_sd, edge_left, edge_right, smooth = _sharpen(stems, image)
+    left_px, right_px, flank_sd, edge_left, edge_right, smooth = sharpen(stems, image)
     width_px = np.maximum(right_px - left_px, 0.5)
     shift = 0.5 * (left_px + right_px) - stems.column_px
     ground_row = ground.row_px(stems.column_px, stems.disparity_px)
 
-    rows = ground_row[:, None] - HEIGHTS_M * per_m[:, None]
+    # the heights of the stem, and some right above its top
+    rows = np.concatenate(
+        [
+            ground_row[:, None] - HEIGHTS_M * per_m[:, None],
+            stems.top_px[:, None] - _ABOVE_M * per_m[:, None],
+        ],
+        axis=1,
+    )
     centre = (stems.column_px + shift)[:, None] + stems.slope[:, None] * (
         rows - stems.row_px[:, None]
     )
-    at_rows = rows / maps.row_step_px
     tolerance = 0.8 + 0.3 * stems.disparity_px**2 / (rig.focal_px * rig.baseline_m)
     free_px = np.maximum(_FAR_M * stems.disparity_px**2 / (rig.focal_px * rig.baseline_m), 0.8)
-    inside_at = centre[:, :, None] + INSIDE * width_px[:, None, None]
-    inside = _sample(maps.left, at_rows, inside_at)
-    out = width_px[:, None] / 2 + _CLEAR_PX + BESIDE_M * per_m[:, None]
-    right = _sample(maps.left, at_rows, centre[:, :, None] + out[:, None, :])
-    left = _sample(
-        maps.right,
-        at_rows,
-        centre[:, :, None] - stems.disparity_px[:, None, None] - out[:, None, :],
-    )
     d = stems.disparity_px[:, None, None]
+    out = (width_px[:, None] / 2 + _CLEAR_PX + BESIDE_M * per_m[:, None])[:, None, :]
+    middle = centre[:, :, None]
+    inside_at = middle + INSIDE * width_px[:, None, None]
+    at = np.concatenate([inside_at, middle + out, middle - d - out], axis=2)
+    samples = _sample(maps, rows / maps.row_step_px, at)
+    above = samples[:, len(HEIGHTS_M) :, 1]  # on the centre line
+    seen_above = np.maximum((rows[:, len(HEIGHTS_M) :] >= 0).sum(axis=1), 1)
+    rows, samples = rows[:, : len(HEIGHTS_M)], samples[:, : len(HEIGHTS_M)]
+    inside, right, left = np.split(samples, _PARTS, axis=2)
     tol, free = tolerance[:, None, None], free_px[:, None, None]
     height, width = maps.height_px, maps.left.shape[1]
     visible = (rows >= 0) & (rows <= height - 1)
@@ -138,22 +146,21 @@ def measure(
         on = (match.sum(axis=2) >= 2) & visible
         hidden = ((inside > d + tol).sum(axis=2) >= 2) & visible
         free_left, free_right = left < d - free, right < d - free
-        near_beside = (left > d + tol).any(axis=2) | (right > d + tol).any(axis=2)
-        same_beside = (np.abs(left[..., :3] - d) <= tol).any(axis=2) | (
-            np.abs(right[..., :3] - d) <= tol
-        ).any(axis=2)
-        blank_beside = np.isnan(left[..., :3]).all(axis=2) | np.isnan(right[..., :3]).all(axis=2)
-        top_rows = stems.top_px[:, None] - _ABOVE_M * per_m[:, None]
-        top_centre = (stems.column_px + shift)[:, None] + stems.slope[:, None] * (
-            top_rows - stems.row_px[:, None]
-        )
-        above = _sample(maps.left, top_rows / maps.row_step_px, top_centre[:, :, None])[..., 0]
-        seen_above = np.maximum((top_rows >= 0).sum(axis=1), 1)
+        near_beside = ((left > d + tol) | (right > d + tol)).any(axis=2)
+        one, two = left[..., :3], right[..., :3]
+        same_beside = ((np.abs(one - d) <= tol) | (np.abs(two - d) <= tol)).any(axis=2)
+        blank_beside = np.isnan(one).all(axis=2) | np.isnan(two).all(axis=2)
         above_free = (above < (d - free)[..., 0]).sum(axis=1) / seen_above
         above_same = (np.abs(above - d[..., 0]) <= tol[..., 0]).sum(axis=1) / seen_above
-    open_ = visible & ~hidden
     both = on & free_left[..., :3].any(axis=2) & free_right[..., :3].any(axis=2)
-    low = HEIGHTS_M <= 1.0
+    clear, low = visible & ~hidden, HEIGHTS_M <= 1.0
+    # heights that have something, then those of which they are a share
+    lines = [on & clear, on & clear & low, both]
+    lines += [on & f[..., k] for k in (0, 3) for f in (free_left, free_right)]
+    lines += [hidden, on & near_beside, on & same_beside, on & blank_beside]
+    lines += [clear, clear & low, on, visible]
+    counts = np.concatenate(lines).reshape(len(lines), n, len(HEIGHTS_M)).sum(axis=2)
+    shares = counts[:11] / np.maximum(counts[_SHARE_OF], 1)
 
     samples = np.where(match & on[..., None], inside, np.nan)
     samples = samples.reshape(n, len(HEIGHTS_M) * len(INSIDE))
@@ -167,20 +174,12 @@ def measure(
     lateral = (stems.column_px - rig.cx_px) / rig.focal_px * range_m
     close = (np.abs(lateral[:, None] - lateral) < 1.5) & (np.abs(range_m[:, None] - range_m) < 2.0)
     border = (left_px < 3.0 + stems.disparity_px) | (right_px > width - 4.0)
-    far = [np.maximum(f, 1.0) for f in (stems.far_left_px, stems.far_right_px)]
-    steps = [np.log1p(np.clip(rig.focal_px * rig.baseline_m / f - range_m, 0.05, 30)) for f in far]
+    far = np.maximum(np.stack([stems.far_left_px, stems.far_right_px]), 1.0)
+    behind_m = rig.focal_px * rig.baseline_m / far - range_m
     columns = (
-        np.log(0.1 + 0.15 * both.sum(axis=1)),
+        np.log(0.1 + 0.15 * counts[2]),
         np.log(0.1 + 0.15 * _longest_run(both)),
-        _share(on, open_),
-        _share(on & low, open_ & low),
-        _share(both, on),
-        _share(on & free_left[..., 0], on),
-        _share(on & free_right[..., 0], on),
-        _share(on & free_left[..., 3], on),
-        _share(on & free_right[..., 3], on),
-        _share(hidden, visible),
-        _share(near_beside & on, on),
+        *shares[:9],
         np.clip(base_m, -0.5, 3.0),
         np.clip(top_m, 0.0, 4.0),
         width_m,
@@ -193,25 +192,23 @@ def measure(
         np.minimum(stems.slices / slices_full, 1.0),
         stems.occluding_left,
         stems.occluding_right,
-        *steps,
+        *np.log1p(np.minimum(np.maximum(behind_m, 0.05), 30.0)),
         edge_left,
         edge_right,
         smooth,
         range_m / 10.0,
         np.log(width_px),
-        np.log(close.sum(axis=1)) if n else np.empty(0),
+        np.log(close.sum(axis=1)),
         border.astype(np.float64),
-        _share(on & same_beside, on),
-        _share(on & blank_beside, on),
+        *shares[9:],
         above_free,
         above_same,
     )
-    single = dict(zip(_SINGLE, columns, strict=True))
-    products = feature_products.products(single)
+    products = feature_products.products(dict(zip(_SINGLE, columns, strict=True)))
     foot_row = ground.row_px(stems.column_px, refined)
     foot_column = stems.column_px + shift + stems.slope * (foot_row - stems.row_px)
     return Profiles(
-        features=np.stack([*single.values(), *products.values()], axis=1),
+        features=np.concatenate([*columns, *products.values()]).reshape(len(NAMES), n).T.copy(),
         left_px=left_px,
         right_px=right_px,
         foot_column_px=foot_column,
@@ -224,14 +221,20 @@ def measure(
     )
 
 
-def _sample(disparity: NDArray[np.float32], rows: Floats, columns: Floats) -> Floats:
-    """Nearest disparity at `rows` `(n, h)` and `columns` `(n, h, k)`; NaN where there is none."""
-    height, width = disparity.shape
+def _sample(maps: UprightMaps, rows: Floats, columns: Floats) -> Floats:
+    """Nearest disparity at `rows` `(n, h)` and `columns` `(n, h, k)`; NaN where there is none.
+
+    The columns left of the stem are those of the right map, the others of the left one.
+    """
+    height, width = maps.left.shape
     v = np.rint(rows).astype(np.int64)[:, :, None]
     u = np.rint(columns).astype(np.int64)
-    inside = (v >= 0) & (v < height) & (u >= 0) & (u < width)
-    value = disparity[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
-    return np.where(inside & (value > 0), value, np.nan).astype(np.float64)
+    within = (v >= 0) & (v < height) & (u >= 0) & (u < width)
+    at = np.where(within, v * width + u, 0)
+    left = maps.left.ravel().take(at[:, :, : _PARTS[1]])
+    right = maps.right.ravel().take(at[:, :, _PARTS[1] :])
+    value = np.concatenate([left, right], axis=2)
+    return np.where(within & (value > 0), value, np.nan).astype(np.float64)
 
 
 def _robust(samples: Floats, fallback: Floats) -> tuple[Floats, Floats, Floats]:
@@ -255,78 +258,8 @@ def _nth(ordered: Floats, count: Floats) -> Floats:
     return np.asarray(0.5 * (ordered[row, low] + ordered[row, high]))
 
 
-def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> Floats:
-    total = whole.sum(axis=1)
-    return np.asarray((part & whole).sum(axis=1) / np.maximum(total, 1))
-
-
 def _longest_run(flags: NDArray[np.bool_]) -> Floats:
     """Longest run of true along each row."""
-    run = np.zeros(len(flags))
-    best = np.zeros(len(flags))
-    for column in flags.T:
-        run = np.where(column, run + 1.0, 0.0)
-        best = np.maximum(best, run)
-    return best
-
-
-def _sharpen(
-    stems: Stems, image: NDArray[np.uint8] | NDArray[np.uint16]
-) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Flanks on the strongest mean image gradient along them, to a fraction of a pixel.
-
-    Returns left and right column at the centre row, their standard deviation, the normalised
-    gradients and the smoothness of the texture along the stem.
-    """
-    n = len(stems)
-    height, width = image.shape
-    share = (np.arange(_ROWS) + 0.5) / _ROWS
-    rows = stems.top_px[:, None] + (stems.bottom_px - stems.top_px)[:, None] * share
-    centre = stems.column_px[:, None] + stems.slope[:, None] * (rows - stems.row_px[:, None])
-    v = np.clip(np.rint(rows).astype(np.int64), 0, height - 1)
-    offsets = np.arange(-_REACH_PX - 1, _REACH_PX + 2)
-    contrast = float(image[::8, ::8].std()) + 1e-6
-    edges, peaks = [], []
-    for side in (-0.5, 0.5):
-        # integer columns along the flank, the fraction is put back at the end
-        flank = centre + side * stems.width_px[:, None]
-        base = np.rint(flank)
-        u = np.clip(base.astype(np.int64)[:, :, None] + offsets, 0, width - 1)
-        grey = image[v[:, :, None], u].astype(np.float64)
-        gradient = 0.5 * (grey[:, :, 2:] - grey[:, :, :-2]) / contrast
-        mean = np.abs(gradient.mean(axis=1)) + 0.35 * np.abs(gradient).mean(axis=1)
-        mean = mean * np.exp(-0.5 * (np.arange(-_REACH_PX, _REACH_PX + 1) / 2.5) ** 2)
-        at = np.clip(mean.argmax(axis=1), 1, 2 * _REACH_PX - 1) if n else np.empty(0, np.int64)
-        row = np.arange(n)
-        before, peak, after = mean[row, at - 1], mean[row, at], mean[row, at + 1]
-        bend = before - 2.0 * peak + after
-        fraction = np.where(bend < -1e-9, 0.5 * (before - after) / np.minimum(bend, -1e-9), 0.0)
-        moved = at - _REACH_PX + np.clip(fraction, -0.5, 0.5) + (base - flank).mean(axis=1)
-        strength = peak / (np.median(mean, axis=1) + 0.02) if n else np.empty(0)
-        trusted = (strength >= 1.8) & (peak >= 0.05)
-        edges.append((side, np.where(trusted, moved, 0.0), trusted))
-        peaks.append(np.minimum(peak, 1.5))
-    columns = [stems.column_px + side * stems.width_px + moved for side, moved, _ in edges]
-    crossed = columns[1] - columns[0] < 0.5
-    columns = [
-        np.where(crossed, stems.column_px + side * stems.width_px, column)
-        for (side, _, _), column in zip(edges, columns, strict=True)
-    ]
-    blurred = np.stack([~(trusted & ~crossed) for _, _, trusted in edges])
-    flank_sd = np.sqrt(np.where(blurred, 1.5**2, 0.4**2).mean(axis=0))
-    smooth = _smoothness(stems, image, centre, v, contrast)
-    return columns[0], columns[1], flank_sd, peaks[0], peaks[1], smooth
-
-
-def _smoothness(
-    stems: Stems,
-    image: NDArray[np.uint8] | NDArray[np.uint16],
-    centre: Floats,
-    v: NDArray[np.int64],
-    contrast: float,
-) -> Floats:
-    """Mean step of the grey value from row to row inside the stem, against the contrast."""
-    width = image.shape[1]
-    u = np.rint(centre[:, :, None] + INSIDE * stems.width_px[:, None, None]).astype(np.int64)
-    grey = image[v[:, :, None], np.clip(u, 0, width - 1)].astype(np.float64)
-    return np.asarray(np.minimum(np.abs(np.diff(grey, axis=1)).mean(axis=(1, 2)) / contrast, 2.0))
+    so_far = flags.cumsum(axis=1)
+    before = np.maximum.accumulate(np.where(flags, 0, so_far), axis=1)
+    return np.asarray((so_far - before).max(axis=1), dtype=np.float64)
