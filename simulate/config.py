@@ -154,6 +154,24 @@ class LatencyConfig(_Section):
     camera_drop_share: Share = 0.002
 
 
+class DetectorConfig(_Section):
+    """A pole detector without pictures: misses, clutter, errors of stereo that stay alike.
+
+    The standard deviation of the range grows with its square; `correlated_share` of the variance
+    stays with a pole over the drive.
+    """
+
+    rate_hz: Positive = 22.0
+    half_view_rad: Annotated[float, Field(gt=0, le=pi)] = 0.44
+    range_max_m: Annotated[float, Field(gt=3.0)] = 30.0
+    detected_share: Share = 0.75
+    clutter_share: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    range_sd_per_m2: NotNegative = 0.0008
+    bearing_sd_rad: NotNegative = 0.002
+    correlated_share: Share = 0.5
+    latency_s: NotNegative = 0.1
+
+
 class SimulateConfig(_Section):
     """Every setting of the simulator."""
 
@@ -163,5 +181,6 @@ class SimulateConfig(_Section):
     gnss: GnssConfig = GnssConfig()
     reference: ReferenceConfig = ReferenceConfig()
     latency: LatencyConfig = LatencyConfig()
+    detector: DetectorConfig = DetectorConfig()
     light: Literal["scenario", "dusk", "overcast"] = "scenario"
     faults: tuple[Fault, ...] = ()

@@ -25,6 +25,7 @@ from polemap.io import read_map, write_map
 from simulate import sensors
 from simulate.camera import expose, exposure_of, make_units
 from simulate.config import SimulateConfig
+from simulate.detector import point_scans
 from simulate.driver import Motion, drive_route
 from simulate.dynamics import CAR
 from simulate.faults import age_map, apply_faults
@@ -198,6 +199,7 @@ def simulate_drive(
     *,
     objects: bool = False,
     images: bool = True,
+    scans: bool = False,
     advance: Callable[[int], None] | None = None,
 ) -> Path:
     """Writes a simulated drive as a plain drive folder.
@@ -209,6 +211,7 @@ def simulate_drive(
         objects: also write the true poles (`objects.geojson`), all standing things
             (`standing.csv`), the true motion (`truth.csv`) and inertial signals (`signals.csv`).
         images: without them the drive has odometry, GNSS and reference only.
+        scans: also write what a detector reports (`poles.csv`, `scans.csv`).
         advance: called with 1 after every stereo pair.
 
     Raises:
@@ -217,18 +220,23 @@ def simulate_drive(
     config = config or SimulateConfig()
     chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if config.faults:
-        return _faulty(chosen, Path(out), laps, seed, config, objects, images, advance)
+        return _faulty(chosen, Path(out), laps, seed, config, objects, images, scans, advance)
     world = make_world(chosen.lit(config.light), seed)
     plan = make_plan(world.route, world.scenario, laps, seed, config)
     frame = EarthFrame("utm", epsg=chosen.epsg)
     antenna = np.array([config.gnss.antenna_x_m, config.gnss.antenna_y_m])
     notes = [f"simulated: world {chosen.name}, seed {seed}, {laps} laps"]
+    draws = np.random.default_rng([seed, 23])
+    seen = point_scans(world, plan.motion, config.detector, draws) if scans else []
     with folder_writer(
         Path(out), name=f"{chosen.name}_{seed}", frame=frame, wheelbase_m=CAR.wheelbase_m,
         rig=config.camera.rig() if images else None, gnss_antenna_m=antenna, notes=notes,
+        pole_view=seen[0].view if seen else None,
     ) as writer:  # fmt: skip
         if images:
             _write_shots(writer, plan, world, advance)
+        if scans:
+            writer.scans(seen)
         rng = np.random.default_rng([seed, 22])
         writer.odometry(sensors.odometry(plan.motion, config.odometry, rng))
         writer.gnss(sensors.gnss(plan.motion, plan.origin_m, config.gnss, rng, world.fronts))
@@ -256,7 +264,7 @@ def _write_shots(
 
 def _faulty(
     scenario: Scenario, out: Path, laps: int, seed: int, config: SimulateConfig,
-    objects: bool, images: bool,
+    objects: bool, images: bool, scans: bool,
     advance: Callable[[int], None] | None,
 ) -> Path:  # fmt: skip
     """The drive without faults in a temporary place, and from there with them to its own."""
@@ -264,7 +272,7 @@ def _faulty(
     with TemporaryDirectory() as place:
         base = simulate_drive(
             scenario, Path(place) / "sound", laps, seed, sound,
-            objects=objects, images=images, advance=advance,
+            objects=objects, images=images, scans=scans, advance=advance,
         )  # fmt: skip
         broken = Path(place) / "broken"
         faulty = apply_faults(open_drive(base), config.faults, seed)

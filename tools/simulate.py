@@ -28,6 +28,9 @@ def command(
         bool, typer.Option("--objects", help="Also write the true poles and the true motion.")
     ] = False,
     images: Annotated[bool, typer.Option(help="Render the stereo pairs.")] = True,
+    scans: Annotated[
+        bool, typer.Option("--scans", help="Poles as a detector reports them, without pictures.")
+    ] = False,
     layout: Annotated[
         str, typer.Option("--format", help="folder (default), kitti_odometry or kitti_raw.")
     ] = "folder",
@@ -41,6 +44,7 @@ def command(
       polemap simulate park_loop --out drive --laps 3 --objects
       polemap simulate avenue --out avenue --seed 7 --set simulate.camera.frame_rate_hz=22
       polemap simulate my_street.yaml --out drive --no-images
+      polemap simulate boulevard --out poles --scans --objects
       polemap simulate suburb --out dusk --set simulate.light=dusk --set simulate.camera.bits=12
       polemap simulate suburb --out blurred \\
         --set 'simulate.faults=[{kind: blurred_frames, from_s: 5, until_s: 9}]'
@@ -65,12 +69,15 @@ def command(
         raise ConfigError(
             f"simulate: --format {layout} has 8-bit pictures: set simulate.camera.bits=8"
         )
+    if scans and layout != "folder":
+        raise ConfigError(f"simulate: --format {layout} has no place for --scans; use folder")
+    images = images and not scans
     frames = count_frames(scenario, laps, seed, settings.simulate) if images else 0
     with progress(frames, f"simulating {scenario}") as advance:
         if layout == "folder":
             simulate_drive(
                 scenario, out, laps, seed, settings.simulate,
-                objects=objects, images=images, advance=advance,
+                objects=objects, images=images, scans=scans, advance=advance,
             )  # fmt: skip
             return
         with TemporaryDirectory() as place:

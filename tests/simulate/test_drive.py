@@ -20,6 +20,7 @@ from simulate.faults import DroppedFrames, GnssOffset
 from simulate.map_faults import PolesAdded
 from simulate.scenario import Scenario
 from tools.cli import build_app
+from vehicle.pose import Pose2D
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -106,6 +107,38 @@ def test_signals_can_be_estimated_from(
     assert np.allclose(np.diff(signals["stamp_s"]), 0.01)
 
 
+def test_scans_hold_the_poles_that_stand_there(
+    tmp_path: Path, street: Scenario, small: SimulateConfig
+) -> None:
+    out = simulate_drive(
+        street, tmp_path / "d", 1, 3, small, objects=True, images=False, scans=True
+    )
+    drive = open_drive(out)
+    assert drive.reference is not None
+    true = read_map(out / "objects.geojson", drive.frame).points_m
+    config = small.detector
+    rate, length = config.rate_hz, drive.reference.stamp_s[-1] - drive.reference.stamp_s[0]
+    assert len(drive.scans) == pytest.approx(rate * length, abs=2)
+    off, seen, claims = [], 0, 0
+    for scan, pose in zip(
+        drive.scans, drive.reference.at(np.array([s.stamp_s for s in drive.scans])), strict=True
+    ):
+        assert scan.view is not None
+        if not np.isfinite(pose).all():
+            continue
+        place = Pose2D(*pose)
+        seen += int(scan.view.contains(place.inverse().transform(true)).sum())
+        claims += len(scan)
+        gap = place.transform(scan.points_vehicle_m)[:, None] - true[None]
+        off.extend(np.hypot(gap[..., 0], gap[..., 1]).min(axis=1, initial=np.inf))
+    # misses, clutter and the reference's noise: 0.02 m and 0.0008 rad
+    right = np.array(off) < 1.5
+    assert right.mean() > 1 - config.clutter_share - 0.05
+    assert right.sum() / seen == pytest.approx(config.detected_share, abs=0.06)
+    assert np.median(np.array(off)[right]) < 0.25
+    assert claims < seen
+
+
 def test_faults_end_up_in_the_folder(
     tmp_path: Path, street: Scenario, small: SimulateConfig
 ) -> None:
@@ -153,6 +186,10 @@ def test_the_command(tmp_path: Path, street: Scenario) -> None:
     done = runner.invoke(app, ["simulate", str(world), "--out", str(out), "--no-images"])
     assert done.exit_code == 0, done.output
     assert open_drive(out).odometry is not None
+    done = runner.invoke(app, ["simulate", str(world), "--out", str(tmp_path / "p"), "--scans"])
+    assert done.exit_code == 0, done.output
+    assert open_drive(tmp_path / "p").scans
+    assert not open_drive(tmp_path / "p").has_frames
     named = runner.invoke(app, ["simulate", "--list"])
     assert "park_loop" in named.output
     deep = ["--format", "kitti_raw", "--set", "simulate.camera.bits=12"]
