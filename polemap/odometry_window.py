@@ -44,7 +44,12 @@ class OdometryWindow:
         """
         if not self._samples or end_s < start_s:
             return None
-        stamp, speed, rate = np.array(self._samples).T
+        recent = []
+        for row in reversed(self._samples):
+            recent.append(row)
+            if row[0] <= start_s:  # what came before says nothing about the time from here on
+                break
+        stamp, speed, rate = np.array(recent[::-1]).T
         near = (stamp > start_s - self._gap_max_s) & (stamp < end_s + self._gap_max_s)
         inside = stamp[near]
         if not len(inside) or np.diff(np.r_[start_s, inside, end_s]).max() > self._gap_max_s:
@@ -54,13 +59,14 @@ class OdometryWindow:
         middle = 0.5 * (knots[1:] + knots[:-1])
         distance = np.interp(middle, stamp, speed) * dt
         turn = np.interp(middle, stamp, rate) * dt
-        pose = np.zeros(3)
-        for step_m, step_rad in zip(distance, turn, strict=True):
-            pose = move_along_arc(pose, step_m, step_rad)
+        # every arc on its own, from the origin in the direction that those before it led to
+        begin = np.zeros((len(turn), 3))
+        begin[1:, 2] = np.cumsum(turn[:-1])
+        arcs = move_along_arc(begin, distance, turn)
         return Motion(
             dt_s=end_s - start_s,
-            forward_m=float(pose[0]),
-            left_m=float(pose[1]),
+            forward_m=float(arcs[:, 0].sum()),
+            left_m=float(arcs[:, 1].sum()),
             turn_rad=float(turn.sum()),
             distance_m=float(np.abs(distance).sum()),
         )

@@ -149,7 +149,7 @@ class PoleTracker:
         config = self._config
         dt = sighting.stamp_s - self._updated_s if self._updated_s is not None else np.inf
         self._updated_s = sighting.stamp_s
-        pace = float(np.clip(dt / config.period_s, 0.0, 1.0))  # more frames are not more evidence
+        pace = min(max(dt / config.period_s, 0.0), 1.0)  # more frames are not more evidence
         pairs = self._assign(sighting)
         tracks = self._correct(pairs, sighting, dt, pace)
         tracks = self._miss(tracks, sighting, pace)
@@ -177,16 +177,19 @@ class PoleTracker:
             return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
         offset = tracks.points_vehicle_m[:, None] - sighting.points_vehicle_m[usable]
         spread = tracks.covariance_m2[:, None] + sighting.covariance_m2[usable]
-        distance = np.einsum("tdi,tdi->td", offset, _solve(spread, offset))
+        x, y = offset[..., 0], offset[..., 1]
+        xx, xy, yy = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
+        determinant = xx * yy - xy * xy
+        distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
         apart = tracks.width_m[:, None] - sighting.width_m[usable]
         width_var = tracks.width_var_m2[:, None] + config.width_sd_m**2
-        width_cost = np.nan_to_num(np.minimum(apart**2 / width_var, 9.0))
-        log_det = np.log(np.linalg.det(spread))
+        width_cost = np.where(np.isnan(apart), 0.0, np.minimum(apart**2 / width_var, 9.0))
+        log_det = np.log(determinant)
         cost = distance + 0.5 * width_cost + log_det - log_det.min()
         # an uncertain track must not snatch the detection of a sure one
         cost = cost - 0.5 * tracks.log_odds[:, None]
         cost = cost - cost.min() + 1.0
-        allowed = (distance <= self._gate) & (np.linalg.norm(offset, axis=2) <= config.gate_max_m)
+        allowed = (distance <= self._gate) & (np.hypot(x, y) <= config.gate_max_m)
         # an empty column a track: it may go without
         square = np.full((len(tracks), len(usable) + len(tracks)), _FORBIDDEN)
         square[:, : len(usable)] = np.where(allowed, cost, _FORBIDDEN)
@@ -203,7 +206,8 @@ class PoleTracker:
         r = np.exp(-max(dt, 1e-3) / config.error_time_s) if config.error_time_s > 0 else 0.0
         measured = sighting.covariance_m2[two] * (1.0 + r) / (1.0 - r)
         prior = tracks.covariance_m2[one]
-        gain = np.swapaxes(_solve_matrix(prior + measured, prior), 1, 2)
+        # both are symmetric, so the transpose of the solution is the gain
+        gain = np.swapaxes(np.linalg.solve(prior + measured, prior), 1, 2)
         innovation = sighting.points_vehicle_m[two] - tracks.points_vehicle_m[one]
         keep = np.eye(2) - gain
         points = tracks.points_vehicle_m.copy()
@@ -215,8 +219,9 @@ class PoleTracker:
         width, width_var = tracks.width_m.copy(), tracks.width_var_m2.copy()
         seen = sighting.width_m[two]
         share = width_var[one] / (width_var[one] + config.width_sd_m**2)
-        share = np.where(np.isfinite(seen), share, 0.0)
-        width[one] += share * (np.nan_to_num(seen) - width[one])
+        known = np.isfinite(seen)
+        share = np.where(known, share, 0.0)
+        width[one] += share * (np.where(known, seen, 0.0) - width[one])
         width_var[one] *= 1.0 - share
         width_var[one] = np.maximum(width_var[one], (0.3 * config.width_sd_m) ** 2)
         height = tracks.height_m.copy()
@@ -293,14 +298,3 @@ def _concatenate(one: Tracks, two: Tracks) -> Tracks:
 def _logit(probability: Floats) -> Floats:
     p = np.clip(probability, 1e-4, 1.0 - 1e-4)
     return np.asarray(np.log(p / (1.0 - p)))
-
-
-def _solve(matrices: Floats, vectors: Floats) -> Floats:
-    return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0])
-
-
-def _solve_matrix(matrices: Floats, right: Floats) -> Floats:
-    """`matrices^-1 right` for stacked 2x2; both symmetric, so its transpose is the gain."""
-    if not len(matrices):
-        return np.empty((0, 2, 2))
-    return np.asarray(np.linalg.solve(matrices, right))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -219,3 +220,54 @@ def test_late_doubled_and_broken_odometry_finds_its_place() -> None:
     motion = history.between(0.0, 0.2)
     assert motion is not None
     assert motion.forward_m == pytest.approx(1.0)
+
+
+def test_recent_odometry_says_what_all_of_it_says() -> None:
+    rng = np.random.default_rng(8)
+    stamps = np.cumsum(rng.choice([0.01, 0.02, 0.9, 1.3], 400, p=[0.5, 0.46, 0.03, 0.01]))
+    speed, rate = rng.uniform(0, 15, 400), rng.uniform(-0.5, 0.5, 400)
+    window = OdometryWindow(keep_s=1e3)
+    for row in zip(stamps, stamps, speed, rate, strict=True):
+        window.push(OdometrySample(*map(float, row)))
+    moved = 0
+    for start in rng.uniform(-0.5, stamps[-1] + 0.5, 200):
+        end = start + rng.uniform(0.0, 1.5)
+        motion = window.between(start, end)
+        inside = stamps[(stamps > start - 1.0) & (stamps < end + 1.0)]
+        if not len(inside) or np.diff(np.r_[start, inside, end]).max() > 1.0:
+            assert motion is None
+            continue
+        assert motion is not None
+        moved += 1
+        knots = np.r_[start, stamps[(stamps > start) & (stamps < end)], end]
+        pose, heading = np.zeros(2), 0.0
+        for one, two in pairwise(knots):
+            half = 0.5 * np.interp(0.5 * (one + two), stamps, rate) * (two - one)
+            chord = (
+                np.interp(0.5 * (one + two), stamps, speed) * (two - one) * np.sinc(half / np.pi)
+            )
+            pose = pose + chord * np.array([np.cos(heading + half), np.sin(heading + half)])
+            heading += 2.0 * half
+        got = (motion.forward_m, motion.left_m, motion.turn_rad)
+        assert got == pytest.approx((*pose, heading), rel=1e-9, abs=1e-9)
+    assert 50 < moved < 200
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_track_takes_a_detection_by_its_mahalanobis_distance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(0, 0.15, (2, 2))
+    spread = root @ root.T + 1e-3 * np.eye(2)
+    gate = np.sqrt(chi2.ppf(CONFIG.gate_probability, 2))
+    direction = rng.normal(0, 1, 2)
+    # the first and the second sighting have the same covariance: their sum is twice that
+    edge = gate * direction / np.sqrt(direction @ np.linalg.solve(2.0 * spread, direction))
+    for part, taken in ((0.99, True), (1.01, False)):
+        tracker = PoleTracker(CONFIG.model_copy(update={"gate_max_m": 50.0}))
+        for stamp, point in (
+            (0.0, np.array([8.0, 1.0])),
+            (0.1, np.array([8.0, 1.0]) + part * edge),
+        ):
+            one = replace(sighting(stamp, point[None]), covariance_m2=spread[None])
+            ids = tracker.update(one)
+        assert (ids[0] == 0) == taken
