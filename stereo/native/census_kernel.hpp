@@ -24,17 +24,12 @@ constexpr int kLanes = 64;
 constexpr int kStripRows = 32;
 constexpr int kTurned = 32;  // columns that are turned into rows together
 
-// The compilers' portable vectors, for the transposition of bytes only: no loop expresses it.
-typedef u8 Bytes16 __attribute__((vector_size(16)));
+// The compilers' portable shuffle, for the transposition of bytes only: no loop expresses it.
 #if defined(__clang__) || __GNUC__ >= 12
-#define CENSUS_INTERLEAVE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#define CENSUS_SHUFFLE(Vector, a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
 #else
-#define CENSUS_INTERLEAVE(a, b, ...) __builtin_shuffle(a, b, census::Bytes16{__VA_ARGS__})
+#define CENSUS_SHUFFLE(Vector, a, b, ...) __builtin_shuffle(a, b, Vector{__VA_ARGS__})
 #endif
-#define CENSUS_INTERLEAVE_LOW(a, b) \
-  CENSUS_INTERLEAVE(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23)
-#define CENSUS_INTERLEAVE_HIGH(a, b) \
-  CENSUS_INTERLEAVE(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)
 
 constexpr int round_up(int value, int step) { return (value + step - 1) / step * step; }
 
@@ -45,7 +40,7 @@ class Buffer {
  public:
   void resize(std::size_t count) {
     if (count <= count_) return;
-    const std::size_t page = count * sizeof(T) >= (4u << 20) ? (2u << 20) : 64u;
+    const std::size_t page = count * sizeof(T) >= (1u << 20) ? (2u << 20) : 64u;
     const std::size_t bytes = (count * sizeof(T) + page - 1) / page * page;
     void* memory = std::aligned_alloc(page, bytes);
     if (memory == nullptr) throw std::bad_alloc();

@@ -1,19 +1,33 @@
 // The left-right check and the median.
 // A part of census_kernel_body.hpp.
 
-// One row of the left-right check, without branches: what fails is as good as random.
-KERNEL_INLINE void check_row(const float* __restrict own, const float* __restrict other,
-                             const u8* __restrict unique, int sign, float tolerance, int width,
-                             float* __restrict out) {
-  for (int x = 0; x < width; ++x) {
-    const float d = own[x];
-    const float known = d == d ? d : 0.0f;
-    const int partner = x + sign * static_cast<int>(known + 0.5f);  // d is not negative
-    const bool inside = (partner >= 0) & (partner < width);
-    const float difference = other[inside ? partner : x] - d;
-    const bool keep = (unique[x] != 0) & inside & (__builtin_fabsf(difference) <= tolerance);
-    out[x] = keep ? d : __builtin_nanf("");
+// Part of a row of the left-right check, without branches: what fails is as good as random. Three
+// loops, since only the middle one, which looks up the partners, has no vector form.
+constexpr int kChecked = 256;
+
+KERNEL_INLINE void check_part(const float* __restrict own, const float* __restrict other,
+                              const u8* __restrict unique, int first, int sign, float tolerance,
+                              int count, int width, float* __restrict out) {
+  int partner[kChecked];
+  float there[kChecked];
+  for (int i = 0; i < count; ++i) {
+    const float known = own[i] == own[i] ? own[i] : 0.0f;
+    partner[i] = first + i + sign * static_cast<int>(known + 0.5f);  // known is not negative
   }
+  for (int i = 0; i < count; ++i)
+    there[i] = other[partner[i] < 0 ? 0 : (partner[i] < width ? partner[i] : width - 1)];
+  for (int i = 0; i < count; ++i) {
+    const bool inside = (partner[i] >= 0) & (partner[i] < width);
+    const bool keep = (unique[i] != 0) & inside & (__builtin_fabsf(there[i] - own[i]) <= tolerance);
+    out[i] = keep ? own[i] : __builtin_nanf("");
+  }
+}
+
+KERNEL_INLINE void check_row(const float* own, const float* other, const u8* unique, int sign,
+                             float tolerance, int width, float* out) {
+  for (int x = 0; x < width; x += kChecked)
+    check_part(own + x, other, unique + x, x, sign, tolerance,
+               width - x < kChecked ? width - x : kChecked, width, out + x);
 }
 
 // Keeps what is unique and what the other view confirms to within `tolerance` (negative: no check).

@@ -1,21 +1,52 @@
 // Horizontal paths, in strips of kStripRows rows. A part of census_kernel_body.hpp.
 
-// dst[j][i] = src[i][j] for 16 x 16 bytes: four rounds of interleaving rows i and i + 8.
-KERNEL_INLINE void transpose16(const u8* src, std::size_t src_stride, u8* dst,
-                               std::size_t dst_stride) {
-  Bytes16 a[16], b[16];
-  for (int i = 0; i < 16; ++i) __builtin_memcpy(&a[i], src + i * src_stride, 16);
+// The low and the high halves of two registers, byte by byte in turn, each 16 bytes by themselves.
+typedef u8 Bytes16 __attribute__((vector_size(16)));
+
+KERNEL_INLINE Bytes16 interleave_low(Bytes16 a, Bytes16 b) {
+  return CENSUS_SHUFFLE(Bytes16, a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+}
+
+KERNEL_INLINE Bytes16 interleave_high(Bytes16 a, Bytes16 b) {
+  return CENSUS_SHUFFLE(Bytes16, a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15,
+                        31);
+}
+
+#if KERNEL_BYTES >= 32
+KERNEL_INLINE StripBytes interleave_low(StripBytes a, StripBytes b) {
+  return CENSUS_SHUFFLE(StripBytes, a, b, 0, 32, 1, 33, 2, 34, 3, 35, 4, 36, 5, 37, 6, 38, 7, 39,
+                        16, 48, 17, 49, 18, 50, 19, 51, 20, 52, 21, 53, 22, 54, 23, 55);
+}
+
+KERNEL_INLINE StripBytes interleave_high(StripBytes a, StripBytes b) {
+  return CENSUS_SHUFFLE(StripBytes, a, b, 8, 40, 9, 41, 10, 42, 11, 43, 12, 44, 13, 45, 14, 46, 15,
+                        47, 24, 56, 25, 57, 26, 58, 27, 59, 28, 60, 29, 61, 30, 62, 31, 63);
+}
+#endif
+
+// Turns 16 rows of 16 bytes, or of twice 16: dst[j][i] = src[i][j]. Four rounds that interleave
+// rows i and i + 8.
+template <typename Vector>
+KERNEL_INLINE void transpose(const u8* src, std::size_t src_stride, u8* dst,
+                             std::size_t dst_stride) {
+  Vector a[16], b[16];
+  for (int i = 0; i < 16; ++i) a[i] = load<Vector>(src + i * src_stride);
   for (int round = 0; round < 2; ++round) {
     for (int i = 0; i < 8; ++i) {
-      b[2 * i] = CENSUS_INTERLEAVE_LOW(a[i], a[i + 8]);
-      b[2 * i + 1] = CENSUS_INTERLEAVE_HIGH(a[i], a[i + 8]);
+      b[2 * i] = interleave_low(a[i], a[i + 8]);
+      b[2 * i + 1] = interleave_high(a[i], a[i + 8]);
     }
     for (int i = 0; i < 8; ++i) {
-      a[2 * i] = CENSUS_INTERLEAVE_LOW(b[i], b[i + 8]);
-      a[2 * i + 1] = CENSUS_INTERLEAVE_HIGH(b[i], b[i + 8]);
+      a[2 * i] = interleave_low(b[i], b[i + 8]);
+      a[2 * i + 1] = interleave_high(b[i], b[i + 8]);
     }
   }
-  for (int i = 0; i < 16; ++i) __builtin_memcpy(dst + i * dst_stride, &a[i], 16);
+  for (int i = 0; i < 16; ++i) {
+    u8 rows[sizeof(Vector)];
+    store<Vector>(rows, a[i]);
+    for (std::size_t j = 0; j < sizeof(Vector); j += 16)
+      __builtin_memcpy(dst + (i + j) * dst_stride, rows + j, 16);
+  }
 }
 
 // Rows [y0, y0 + kStripRows) of one census plane, columns by rows: out[x][lane].
@@ -28,7 +59,7 @@ KERNEL_FN void transpose_rows(const u8* first_row, std::size_t stride, int rows,
         const int row = lane + i < rows ? lane + i : rows - 1;
         __builtin_memcpy(tile[i], first_row + row * stride + x, 16);
       }
-      transpose16(tile[0], 16, out + static_cast<std::size_t>(x) * kStripRows + lane, kStripRows);
+      transpose<Bytes16>(tile[0], 16, out + static_cast<std::size_t>(x) * kStripRows + lane, kStripRows);
     }
 }
 
@@ -47,19 +78,20 @@ KERNEL_INLINE void start_horizontal(const Problem& p, u8* state) {
 }
 
 template <Output kOutput>
-KERNEL_INLINE void horizontal_step(const Problem& p, const u8* p2, u8* state, const u8* cost,
-                                   u8* out) {
+KERNEL_FN void horizontal_step(const Problem& p, const u8* p2, u8* state, const u8* cost,
+                                   u8* out, const u8* ahead) {
   u8* minimum = state;
   u8* limit = state + kStripRows;
   u8* paths = state + 2 * kStripRows;
   for (int i = 0; i < kStripRows; ++i) limit[i] = static_cast<u8>(minimum[i] + p2[i]);
   const Step step = {paths, paths, minimum, limit, minimum};
-  follow<StripBytes, kStripRows, 1, kOutput>(&step, kStripRows, p.disparities, p.p1, false, cost,
-                                             out);
+  constexpr int kAhead = kOutput == Output::add ? 1 : 0;
+  follow<StripBytes, kStripRows, 1, kOutput, kAhead>(&step, kStripRows, p.disparities, p.p1, false,
+                                                     cost, out, &ahead);
 }
 
 // Matching costs of column x of a strip, disparities x kStripRows.
-KERNEL_INLINE void strip_costs(const Problem& p, const Strip& strip, int x, u8* __restrict cost) {
+KERNEL_FN void strip_costs(const Problem& p, const Strip& strip, int x, u8* __restrict cost) {
   const int reach = x - p.offset + 1;
   const int inside = reach < 0 ? 0 : (reach < p.disparities ? reach : p.disparities);
   const std::ptrdiff_t here = static_cast<std::ptrdiff_t>(x) * kStripRows;
@@ -104,6 +136,16 @@ KERNEL_FN Strip turn_strip(const Problem& p, const View& left, const View& right
   return strip;
 }
 
+// Turns kTurned columns of a strip into rows of a volume.
+KERNEL_FN void turn_block(const Problem& p, const u8* block, u8* target) {
+  const std::size_t column = p.strip_column(), stride = p.volume_stride();
+  for (int d = 0; d < p.disparities; ++d, block += kStripRows, target += kLanes)
+    for (int x = 0; x < kTurned; x += 16)
+      for (int lane = 0; lane < kStripRows; lane += kStripBytes)
+        transpose<StripBytes>(block + x * column + lane, column, target + lane * stride + x,
+                              stride);
+}
+
 // Both horizontal paths of rows [y0, y0 + rows): excesses as rows of a volume in s.strip_sum.
 // What the path from the left adds would not fit the cache for a whole strip. So the path leaves
 // its state at every kTurned columns, and goes through them again just before the path from the
@@ -126,7 +168,7 @@ KERNEL_FN void horizontal_strip(const Problem& p, const View& left, const View& 
       rightward += size;
     }
     strip_costs(p, strip, x, costs);
-    horizontal_step<Output::none>(p, strip.p2 + x * kStripRows, rightward, costs, nullptr);
+    horizontal_step<Output::none>(p, strip.p2 + x * kStripRows, rightward, costs, nullptr, nullptr);
   }
   start_horizontal(p, leftward);
   for (int start = last; start >= 0; start -= kTurned, rightward -= size) {
@@ -134,20 +176,17 @@ KERNEL_FN void horizontal_strip(const Problem& p, const View& left, const View& 
     for (int x = start; x < end; ++x) {
       const std::size_t at = (x - start) * column;
       strip_costs(p, strip, x, costs + at);
-      horizontal_step<Output::set>(p, strip.p2 + x * kStripRows, rightward, costs + at, block + at);
-    }
-    for (int x = end - 1; x >= start; --x) {
-      const std::size_t at = (x - start) * column;
-      horizontal_step<Output::add>(p, strip.p2 + (x + 1) * kStripRows, leftward, costs + at,
-                                   block + at);
+      horizontal_step<Output::set>(p, strip.p2 + x * kStripRows, rightward, costs + at, block + at,
+                                   nullptr);
     }
     u8* target = s.strip_sum.get() +
                  static_cast<std::size_t>(start / kLanes) * kLanes * p.disparities + start % kLanes;
-    for (int d = 0; d < p.disparities; ++d)
-      for (int x = 0; x < kTurned; x += 16)
-        for (int lane = 0; lane < kStripRows; lane += 16)
-          transpose16(block + x * column + static_cast<std::size_t>(d) * kStripRows + lane, column,
-                      target + lane * p.volume_stride() + static_cast<std::size_t>(d) * kLanes + x,
-                      p.volume_stride());
+    for (int x = end - 1; x >= start; --x) {
+      const std::size_t at = (x - start) * column;
+      const u8* ahead = target + (x - start) % kStripRows * p.volume_stride();
+      horizontal_step<Output::add>(p, strip.p2 + (x + 1) * kStripRows, leftward, costs + at,
+                                   block + at, ahead);
+    }
+    turn_block(p, block, target);
   }
 }

@@ -13,8 +13,9 @@ KERNEL_FN void first_pass(const Problem& p, const View& left, const View& right,
     for (int i = 0; i < p.columns(); i += kLanes) {
       const int x = phase == 0 ? i : p.columns() - kLanes - i;
       cost_block(p, row, x, s.cost.get());
-      vertical_block(p, x, s, phase, s.cost.get(),
-                     excess + static_cast<std::size_t>(x) * p.disparities);
+      u8* out = excess + static_cast<std::ptrdiff_t>(x) * p.disparities;
+      const u8* const next = out + (phase == 0 ? kLanes : -kLanes) * p.disparities;
+      vertical_block<1>(p, x, s, phase, s.cost.get(), out, &next);
     }
     end_row(p, s, phase);
   }
@@ -27,12 +28,9 @@ KERNEL_FN void finish_row(const Problem& p, const CensusRow& row, Scratch& s, in
   for (int i = 0; i < p.columns(); i += kLanes) {
     const int x = phase == 0 ? i : p.columns() - kLanes - i;
     const std::size_t block = static_cast<std::size_t>(x) * p.disparities;
-    for (int d = 0; d < p.disparities; ++d) {  // far away, and needed only after the paths
-      __builtin_prefetch(volume + block + d * kLanes);
-      __builtin_prefetch(horizontal + block + d * kLanes);
-    }
+    const u8* const ahead[2] = {volume + block, horizontal + block};
     cost_block(p, row, x, s.cost.get());
-    vertical_block(p, x, s, phase, s.cost.get(), s.excess.get());
+    vertical_block<2>(p, x, s, phase, s.cost.get(), s.excess.get(), ahead);
     const Addends from = {volume + block, s.excess.get(), horizontal + block, s.cost.get()};
     // without a right view to come, scores are needed no more: they all go to one place
     score_block(p, x, from, s.scores.get() + x, keep_scores ? p.score_stride() : 0, w);

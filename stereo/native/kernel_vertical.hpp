@@ -50,10 +50,12 @@ KERNEL_INLINE Vector advance(Path<Vector>& path, std::ptrdiff_t stride, Vector p
 enum class Output { none, set, add };
 
 // The step of kCount pixels along kPaths paths at once, from the last pixels to the first if
-// `backwards`. `cost` and `out` are disparities x kCount.
-template <typename Vector, int kCount, int kPaths, Output kOutput>
+// `backwards`. `cost` and `out` are disparities x kCount. Meanwhile kAhead blocks that are
+// far away and needed soon are fetched, a cache line a disparity: all at once would only queue.
+template <typename Vector, int kCount, int kPaths, Output kOutput, int kAhead>
 KERNEL_INLINE void follow(const Step* steps, std::ptrdiff_t stride, int disparities, u8 p1,
-                          bool backwards, const u8* cost_of_block, u8* out_of_block) {
+                          bool backwards, const u8* cost_of_block, u8* out_of_block,
+                          const u8* const* ahead) {
   constexpr int kWidth = static_cast<int>(sizeof(Vector));
   for (int part = 0; part < kCount; part += kWidth) {
     const int lane = backwards ? kCount - kWidth - part : part;
@@ -66,7 +68,9 @@ KERNEL_INLINE void follow(const Step* steps, std::ptrdiff_t stride, int disparit
       start_path(two, steps[1], stride, lane);
       start_path(three, steps[2], stride, lane);
     }
-    for (int d = 0; d < disparities; ++d) {
+    for (std::ptrdiff_t d = 0; d < disparities; ++d) {
+      if (kAhead >= 1 && part == 0) __builtin_prefetch(ahead[0] + d * kLanes);
+      if (kAhead == 2 && part == 0) __builtin_prefetch(ahead[1] + d * kLanes);
       const Vector here = load<Vector>(cost);
       Vector excess = advance(one, stride, change, here);
       if (kPaths == 3) {
@@ -118,8 +122,9 @@ KERNEL_FN void path_penalties(const Problem& p, const View& view, int y, int fro
 
 // Follows the vertical paths into columns [x, x + kLanes) of a row; the sum of their excesses goes
 // to `excess`, disparities x kLanes.
+template <int kAhead>
 KERNEL_FN void vertical_block(const Problem& p, int x, Scratch& s, int phase, const u8* cost,
-                              u8* excess) {
+                              u8* excess, const u8* const* ahead) {
   const int stride = p.pixel_stride();
   u8* minima = s.minima.get() + kLanes + x;
   Step steps[3];
@@ -132,12 +137,14 @@ KERNEL_FN void vertical_block(const Problem& p, int x, Scratch& s, int phase, co
     steps[k].limit = s.penalties.get() + k * stride + kLanes + x;
     steps[k].new_minimum = minima + ((1 - phase) * 3 + k) * stride;
   }
+  const std::ptrdiff_t state_stride = p.state_stride();
+  const bool back = phase != 0;
   if (p.vertical_paths == 3)
-    follow<Bytes, kLanes, 3, Output::set>(steps, p.state_stride(), p.disparities, p.p1, phase != 0,
-                                          cost, excess);
+    follow<Bytes, kLanes, 3, Output::set, kAhead>(steps, state_stride, p.disparities, p.p1, back,
+                                                  cost, excess, ahead);
   else
-    follow<Bytes, kLanes, 1, Output::set>(steps, p.state_stride(), p.disparities, p.p1, phase != 0,
-                                          cost, excess);
+    follow<Bytes, kLanes, 1, Output::set, kAhead>(steps, state_stride, p.disparities, p.p1, back,
+                                                  cost, excess, ahead);
 }
 
 // What lies beside the image is the predecessor of paths that begin at its edge: zero.
