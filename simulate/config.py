@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from math import pi, tan
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from simulate.faults import Fault
 from stereo.rig import Mounting, StereoRig
@@ -15,12 +15,25 @@ NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
+# rectified grey cameras; focal length and baseline from calib.txt of the odometry sequences
+KITTI_GEOMETRY: dict[str, float] = {
+    "width_px": 1241,
+    "height_px": 376,
+    "focal_px": 718.856,
+    "baseline_m": 0.537,
+    "mount_x_m": 1.03,
+    "mount_y_m": 0.06,
+    "mount_z_m": 1.65,
+    "frame_rate_hz": 10.0,
+}
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class CameraConfig(_Section):
-    """The stereo camera; the default is the source paper's, `kitti` in `presets` the other one.
+    """The stereo camera; the default is the source paper's, `preset: kitti` that of KITTI.
 
     Image noise is given in electrons: `full_well_e` at the white level sets the shot noise. Light
     that an exposure of `largest_exposure` cannot gather is made up by gain, noise included.
@@ -29,6 +42,7 @@ class CameraConfig(_Section):
     Without a frame rate the scenario's is used.
     """
 
+    preset: Literal["paper", "kitti"] = "paper"
     width_px: int = Field(default=768, ge=32, le=4096)
     height_px: int = Field(default=480, ge=32, le=4096)
     focal_px: Positive = 384.0 / tan(25.0 * pi / 180.0)
@@ -52,6 +66,14 @@ class CameraConfig(_Section):
     calibration_error_deg: NotNegative = 0.02
     largest_exposure: Positive = 6.0
 
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, values: Any) -> Any:
+        """A preset gives what is not said."""
+        if isinstance(values, dict) and values.get("preset") == "kitti":
+            return KITTI_GEOMETRY | values
+        return values
+
     def rig(self) -> StereoRig:
         """The rig that the written drive claims to have."""
         return StereoRig(
@@ -68,21 +90,8 @@ class CameraConfig(_Section):
 
 
 def kitti_camera(**changes: object) -> CameraConfig:
-    """The geometry of KITTI's grey cameras (rectified): 1241x376, 0.54 m.
-
-    Source: calib.txt of the KITTI odometry sequences (focal length 718.9 px, baseline 0.537 m).
-    """
-    values: dict[str, object] = {
-        "width_px": 1241,
-        "height_px": 376,
-        "focal_px": 718.856,
-        "baseline_m": 0.537,
-        "mount_x_m": 1.03,
-        "mount_y_m": 0.06,
-        "mount_z_m": 1.65,
-        "frame_rate_hz": 10.0,
-    }
-    return CameraConfig.model_validate(values | changes)
+    """The camera with KITTI's geometry, changed where `changes` say so."""
+    return CameraConfig.model_validate({"preset": "kitti"} | changes)
 
 
 class RenderConfig(_Section):

@@ -60,3 +60,13 @@ def test_exposure_brings_the_scene_to_the_target() -> None:
         scene = np.full(SHAPE, light, np.float32)
         assert light * exposure_of(scene, config, 0.0) == pytest.approx(config.target_level)
     assert exposure_of(scene, config, 0.3) > exposure_of(scene, config, 0.0)
+
+
+def test_a_preset_gives_what_is_not_said() -> None:
+    paper = CameraConfig()
+    kitti = CameraConfig.model_validate({"preset": "kitti", "baseline_m": 0.6})
+    assert (paper.rig().width_px, paper.rig().baseline_m) == (768, 0.3)
+    assert (kitti.rig().width_px, kitti.rig().focal_px) == (1241, 718.856)
+    assert kitti.rig().baseline_m == 0.6
+    assert kitti.read_noise_e == paper.read_noise_e
+    assert CameraConfig.model_validate(kitti.model_dump()) == kitti
