@@ -44,6 +44,12 @@ CASES = {
     "start_50m_off": Case(start_offset=(30.0, 40.0, 0.0), since_s=0.0),
     "start_turned_180": Case(start_offset=(0.0, 0.0, np.pi), since_s=0.0),
     "start_50m_and_180": Case(start_offset=(30.0, 40.0, np.pi), since_s=0.0),
+    "start_50m_and_180_no_gnss": Case(
+        replace(_BASE, gnss_outage=(0.0, np.inf)), start_offset=(30.0, 40.0, np.pi), since_s=0.0
+    ),
+    "kidnapped_no_gnss": Case(
+        replace(_BASE, kidnap_s=15.0, gnss_outage=(10.0, np.inf)), since_s=15.0
+    ),
     "gnss_outage_60s": Case(
         replace(_BASE, duration_s=90.0, gnss_outage=(10.0, 70.0)), since_s=10.0
     ),

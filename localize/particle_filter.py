@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from localize.estimate import Event, PfEstimate
 from localize.exploration import LikelihoodAverages, normalized_quality
 from localize.gnss_fixes import GnssFixes
 from localize.health import HealthRecord, LostDetector
-from localize.likelihood import PoleWeigher, independent_share, tempered
+from localize.likelihood import Match, PoleWeigher, independent_share, tempered
 from localize.motion_noise import sample_motion
 from localize.odometry_history import OdometryHistory
 from localize.particles import (
@@ -35,6 +36,16 @@ from vehicle.pose import shift_forward, wrap_angle
 Floats = NDArray[np.float64]
 _RESTART_SHARE = 0.75
 _FIRST_SHARE = 0.2
+_DOUBT_INTERVALS = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Dead-reckoned pose `(3,)` at a scan, and the way and time since the last one."""
+
+    reckoned: Floats
+    moved_m: float
+    elapsed_s: float
 
 
 class ParticleFilter:
@@ -152,13 +163,13 @@ class ParticleFilter:
                 return None
             self._place(drawn, np.zeros(len(drawn)))
             event, share = "initialized", _FIRST_SHARE
-        moved_m = travelled - self._travelled_m
+        step = _Step(reckoned, travelled - self._travelled_m, stamp - self._stamp_s)
         self._stamp_s, self._travelled_m = stamp, travelled
         self._log_weights = self._fixes.weigh(self._log_weights, self._rear(), stamp, self._history)
         self._weigh_scan(scan, share)
         if event is None:
             event = self._recover(scan, reckoned)
-        estimate = self._estimate(scan, event, reckoned, moved_m)
+        estimate = self._estimate(scan, event, step)
         self._resample(estimate.health.n_eff)
         self._calibration.learn(
             stamp, estimate.pose, estimate.covariance, self._held_by_poles(estimate)
@@ -236,7 +247,7 @@ class ParticleFilter:
         return "explored"
 
     def _begin_elsewhere(self, scan: PoleScan, reckoned: Floats) -> Event | None:
-        """The poles fit clearly better at another place than at that of a start not yet proven."""
+        """The poles of the last metres fit clearly better at another place."""
         count = round(_RESTART_SHARE * len(self._poses))
         drawn = self._relocation.draw(count, scan.stamp_s, reckoned, self._rng)
         if len(drawn) == 0:
@@ -244,6 +255,9 @@ class ParticleFilter:
         self._mix_in(drawn, np.zeros(len(drawn)))
         self._averages.reset()
         self._lost.reset()
+        if self._proof.proven:
+            self.counts["reinitializations"] += 1
+            return "reinitialized"
         self.counts["start_corrections"] += 1
         return "initialized"
 
@@ -259,9 +273,7 @@ class ParticleFilter:
             np.concatenate([self._slips[kept], self._drawn_slips(len(rear))]),
         )
 
-    def _estimate(
-        self, scan: PoleScan, event: Event | None, reckoned: Floats, moved_m: float
-    ) -> PfEstimate:
+    def _estimate(self, scan: PoleScan, event: Event | None, step: _Step) -> PfEstimate:
         config = self._config
         rear = self._rear()
         weights, _ = normalized(self._log_weights)
@@ -283,17 +295,9 @@ class ParticleFilter:
         )
         if event in ("initialized", "reinitialized"):
             self._proof.begin()
-        elif not self._proof.proven:
-            verdict: Verdict = "open"
-            if self._relocation.rested(scan.stamp_s):
-                verdict = self._relocation.verify(pose, scan.stamp_s, reckoned, self._rng)
-            self._proof.add(
-                verdict,
-                narrow=len(modes) == 1 and major <= config.proven_sd_m,
-                matched=fit.matched,
-                possible=min(float(len(scan)), fit.expected),
-                moved_m=moved_m,
-            )
+        else:
+            narrow = len(modes) == 1 and major <= config.proven_sd_m
+            self._prove(scan, fit, pose, step, narrow=narrow)
         settled = self._proof.proven and len(modes) == 1
         healthy = settled and major <= config.healthy_sd_m and self._lost.fits
         health = HealthRecord(
@@ -316,6 +320,27 @@ class ParticleFilter:
         )
         return PfEstimate(
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event
+        )
+
+    def _prove(
+        self, scan: PoleScan, fit: Match, pose: Floats, step: _Step, *, narrow: bool
+    ) -> None:
+        """Ask the last metres' constellation while the place is not proven, or in doubt again."""
+        proof = self._proof
+        proof.see(fit.matched, len(scan), step.elapsed_s)
+        verdict: Verdict = "open"
+        if not proof.proven or proof.in_doubt:
+            intervals = _DOUBT_INTERVALS if proof.proven else 1.0
+            if self._relocation.rested(scan.stamp_s, intervals):
+                verdict = self._relocation.verify(
+                    pose, scan.stamp_s, step.reckoned, self._rng, proven=proof.proven
+                )
+        proof.add(
+            verdict,
+            narrow=narrow,
+            matched=fit.matched,
+            possible=min(float(len(scan)), fit.expected),
+            moved_m=step.moved_m,
         )
 
     def _held_by_poles(self, estimate: PfEstimate) -> bool:

@@ -73,12 +73,19 @@ class Relocation:
         return draw_poses(count, gnss, candidates, rng)
 
     def verify(
-        self, pose: Floats, stamp_s: float, reckoned: Floats, rng: np.random.Generator
+        self,
+        pose: Floats,
+        stamp_s: float,
+        reckoned: Floats,
+        rng: np.random.Generator,
+        *,
+        proven: bool = False,
     ) -> Verdict:
         """Hold a pose `(3,)` against the poles of the last metres, and against other places.
 
         "confirmed" if it explains enough of them and no other place does as well, "contradicted"
-        if another one does clearly better.
+        if another one does clearly better; a pose that was proven before gives way only to one that
+        is alone in that, and by one pole more: the map may lack what is seen.
         """
         self._searched_s = stamp_s
         gnss = self._gnss_pose(stamp_s, reckoned)
@@ -92,6 +99,8 @@ class Relocation:
         )
         enough, score = self._enough(gnss), float(own.score[0])
         found = len(candidates) > 0 and candidates.matched[0] >= enough
+        if proven:
+            found = _stands_out(candidates, enough + 1)
         if found and candidates.score[0] >= score + _MARGIN:
             return "contradicted"
         rivals = candidates.score[~candidates.at(pose)]
@@ -104,9 +113,9 @@ class Relocation:
         known = gnss is not None and gnss.heading_known
         return self._config.constellation_min_poles + (not known)
 
-    def rested(self, stamp_s: float) -> bool:
+    def rested(self, stamp_s: float, intervals: float = 1.0) -> bool:
         """Whether the last search is long enough ago for another."""
-        return stamp_s - self._searched_s >= self._config.constellation_interval_s
+        return stamp_s - self._searched_s >= intervals * self._config.constellation_interval_s
 
     def draw(
         self, count: int, stamp_s: float, reckoned: Floats, rng: np.random.Generator

@@ -141,6 +141,27 @@ def test_recovers_after_being_kidnapped_and_says_so() -> None:
 
 
 @pytest.mark.slow
+def test_recovers_without_gnss_too() -> None:
+    scenario = replace(SHORT, duration_s=18.0, gnss_outage=(0.0, np.inf))
+    drive = simulate_points(scenario, np.random.default_rng(3))
+    estimates = run(drive, 0, start=drive.truth[0] + np.array([30.0, 40.0, np.pi]))
+    assert found_after(drive, estimates, 0.0) < 12.0
+    assert [e.event for e in estimates].count("reinitialized") == 1
+
+
+@pytest.mark.slow
+def test_a_standing_car_beside_a_pole_claims_no_place() -> None:
+    scenario = replace(SHORT, standstill_s=8.0, pole_spacing_m=12.0)
+    for seed in range(3):
+        drive = simulate_points(scenario, np.random.default_rng(seed))
+        estimates = run(drive, seed)
+        assert all(not e.healthy for e in estimates if e.stamp_s < 8.0)
+        claimed = [e for e in estimates if e.healthy]
+        assert np.hypot(*errors(drive, claimed)[:, :2].T).max() < 1.0
+        assert found_after(drive, estimates, 8.0) < 10.0
+
+
+@pytest.mark.slow
 def test_starts_without_gnss_from_the_constellation_alone() -> None:
     scenario = replace(SHORT, pole_spacing_m=3.0, gnss_outage=(0.0, 1e9))
     drive = simulate_points(scenario, np.random.default_rng(4))

@@ -261,6 +261,26 @@ def test_a_place_is_confirmed_where_it_is_and_contradicted_elsewhere() -> None:
     assert verdicts == [("confirmed", "contradicted")] * 10
 
 
+def test_a_proven_place_gives_way_to_one_place_only_and_not_easily() -> None:
+    rng = np.random.default_rng(0)
+    pose, wrong = np.array([0.0, 0.0, 0.5]), np.array([30.0, -20.0, 2.0])
+    lone = street(rng, count=60, extent_m=100.0)
+    points = np.vstack([lone.points_m, lone.points_m + np.array([400.0, 0.0])])
+    twice = replace(street(rng, count=120), points_m=points)
+
+    def verdict(world: PoleMap, reach_m: float, proven: bool) -> str:
+        seen = looked_around(world, pose, reach_m)
+        return seen.verify(wrong, 2.0, np.zeros(3), rng, proven=proven)
+
+    assert verdict(lone, 40.0, True) == "contradicted"
+    assert verdict(twice, 40.0, False) == "contradicted"
+    assert verdict(twice, 40.0, True) == "open"
+    distance = np.sort(np.hypot(*(lone.points_m - pose[:2]).T))
+    just_enough = float(distance[3:5].mean())
+    assert verdict(lone, just_enough, False) == "contradicted"
+    assert verdict(lone, just_enough, True) == "open"
+
+
 def test_two_places_alike_or_few_poles_leave_the_place_open() -> None:
     rng = np.random.default_rng(0)
     pose = np.array([0.0, 0.0, 0.5])

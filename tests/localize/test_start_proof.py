@@ -76,3 +76,20 @@ def test_a_contradiction_holds_until_the_next_scan_and_belief_ends_it() -> None:
     proof.believe()
     assert proof.proven
     assert not proof.contradicted
+
+
+def test_a_proven_place_where_hardly_a_pole_fits_is_in_doubt() -> None:
+    proof = StartProof(LocalizeConfig())
+    proof.believe()
+    for _ in range(200):
+        proof.see(matched=1, seen=2, elapsed_s=0.05)
+        assert not proof.in_doubt
+    for _ in range(200):
+        # nothing seen says nothing
+        proof.see(matched=0, seen=0, elapsed_s=0.05)
+        assert not proof.in_doubt
+    for _ in range(200):
+        proof.see(matched=0, seen=3, elapsed_s=0.05)
+    assert proof.in_doubt
+    proof.begin()
+    assert not proof.in_doubt
