@@ -37,6 +37,10 @@ class DetectionConfig(BaseModel):
     matcher_sd_px: float = Field(0.25, ge=0.0, description="More of it without the fit.")
     column_sd_px: float = Field(0.7, gt=0.0, description="Error of a stem's centre column.")
     across_sd_m: float = Field(0.03, ge=0.0, description="Of the axis at ground level, sideways.")
+    across_sd_share: float = Field(0.1, ge=0.0, le=1.0, description="More of it, in widths.")
+    extension_sd_m: float = Field(
+        0.05, ge=0.0, description="More of it, for each length by which the axis is extended down."
+    )
     axis_share: float = Field(0.3, ge=0.0, le=1.0, description="Axis behind surface, in widths.")
     axis_sd_share: float = Field(0.15, ge=0.0, le=1.0)
 

@@ -21,6 +21,9 @@ from stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 
+_SHORTEST_M = 0.2
+_FARTHEST = 3.0  # lengths
+
 
 @dataclass(frozen=True, slots=True)
 class Detections:
@@ -145,6 +148,13 @@ def _locate(
     sd_range = np.hypot(surface**2 / focal_baseline * sd_disparity, config.axis_sd_share * width_m)
     sd_column = np.hypot(config.column_sd_px, profiles.flank_sd_px / np.sqrt(2.0))
     sd_across = np.hypot(surface / rig.focal_px * sd_column, config.across_sd_m)
+    # the axis is extended down to the ground: the farther for its length, the worse
+    length_px = np.maximum(stems.bottom_px - stems.top_px, _SHORTEST_M * disparity / rig.baseline_m)
+    extended = profiles.foot_row_px - 0.5 * (stems.bottom_px + stems.top_px)
+    share = np.clip(extended / length_px, 0.0, _FARTHEST)
+    sd_across = np.hypot(sd_across, config.extension_sd_m * share)
+    # what is wide may be two things that stand side by side
+    sd_across = np.hypot(sd_across, config.across_sd_share * width_m)
     sd_across = np.where(profiles.border, np.hypot(sd_across, 0.25 * width_m + 0.05), sd_across)
     ray = points - np.array([rig.vehicle_from_camera.x_m, rig.vehicle_from_camera.y_m])
     ray = ray / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-6)[:, None]
