@@ -31,18 +31,25 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def rate(pairs: list[Pair], maps: list[NDArray[np.float32]]) -> dict[str, float]:
-    """Error and density over all pairs, on non-occluded pixels (each counts once)."""
-    wrong = known = valid = 0
-    for pair, disparity in zip(pairs, maps, strict=True):
-        truth = pair.non_occluded()
-        found = truth & np.isfinite(disparity)
-        wrong += int((pair.wrong(disparity) & found).sum())
-        known += int(found.sum())
-        valid += int(truth.sum())
-    return {
-        "error_percent": 100 * wrong / max(known, 1),
-        "density_percent": 100 * known / max(valid, 1),
+    """Error and density over all pairs, on non-occluded pixels (each counts once).
+
+    With Middlebury's pairs also the error where half-occluded ones count, too.
+    """
+
+    def counts(pair: Pair, disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> list[int]:
+        found = mask & np.isfinite(disparity)
+        return [int((pair.wrong(disparity) & found).sum()), int(found.sum()), int(mask.sum())]
+
+    both = list(zip(pairs, maps, strict=True))
+    wrong, found, valid = np.sum([counts(p, d, p.non_occluded()) for p, d in both], axis=0)
+    row = {
+        "error_percent": 100 * wrong / max(found, 1),
+        "density_percent": 100 * found / max(valid, 1),
     }
+    if not all(pair.kitti for pair in pairs):
+        wrong, found, _ = np.sum([counts(p, d, np.isfinite(p.truth)) for p, d in both], axis=0)
+        row["all_error_percent"] = 100 * wrong / max(found, 1)
+    return {name: float(value) for name, value in row.items()}
 
 
 def score(matcher: StereoMatcher, pairs: list[Pair]) -> dict[str, float]:
@@ -105,6 +112,7 @@ def score_rendered(config: StereoConfig, seeds: range, **scene: float) -> dict[s
     for side, total in zip(("left", "right"), sums, strict=True):
         row[f"{side}_recall"] = total.recall
         row[f"{side}_thin_recall"] = total.thin_recall
+        row[f"{side}_clear_recall"] = total.clear_recall
         row[f"{side}_fattening_px"] = total.fattening_px
     return row
 

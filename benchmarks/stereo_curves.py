@@ -166,31 +166,41 @@ def curves(pairs: list[Pair]) -> Iterator[tuple[str, Points]]:
 
 
 def draw(found: dict[str, Points], path: Path) -> None:
-    """Density to the right, error upwards; thinned by trust left, by the matcher's own means right.
+    """Density to the right, error upwards; OpenCV thinned by trust left, by uniqueness right.
 
-    Grey: OpenCV without speckle filter; blue: with it; red: the census matcher.
+    Dotted: without the speckle filter.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(14, 6.5))
-    for axes, trusted in zip(figure.subplots(1, 2, sharey=True), (True, False), strict=True):
-        for name, points in found.items():
-            ours = name.startswith("census,")
-            if name.endswith("by trust") != trusted and not (ours and "speckles 0" not in name):
-                continue
-            if name.startswith("census ") or (ours and name.endswith("margin") and trusted):
-                continue
-            density, error = zip(*points, strict=True)
-            colour = "tab:red" if ours else "0.7" if "speckles 0" in name else "tab:blue"
-            style = "--" if "by margin" in name else "-"
-            axes.plot(density, error, style, marker=".", color=colour, lw=2 if ours else 0.8)
-            axes.annotate(name.rsplit(",", 1)[0], points[0], fontsize=5, rotation=20)
-        axes.plot([92, 92, 100], [0, 3.5, 3.5], "k:", lw=0.8)
-        title = "all thinned by trust" if trusted else "OpenCV thinned by uniqueness"
-        axes.set(title=title, xlabel="density [%]", xlim=(69, 96), ylim=(0, 6))
-    figure.axes[0].set_ylabel("error [%]")
+    families = (
+        ("census,", "tab:red", "census"),
+        ("opencv 3way none 5", "tab:blue", "OpenCV 3WAY, block 5"),
+        ("opencv 3way none 3", "tab:cyan", "OpenCV 3WAY, block 3"),
+        ("opencv 3way clahe", "tab:green", "OpenCV 3WAY behind CLAHE"),
+        ("opencv", "0.7", "OpenCV's other modes, ranks, census bytes"),
+    )
+    figure = Figure(figsize=(13, 6))
+    both = figure.subplots(1, 2, sharey=True)
+    for name, points in found.items():
+        family = next((f for f in families if name.startswith(f[0])), None)
+        if family is None or name.endswith("by margin"):
+            continue
+        ours, density, error = family is families[0], *zip(*points, strict=True)
+        style = ":" if "speckles 0" in name else "-"
+        for axes, wanted in zip(both, ("by trust", "by uniqueness"), strict=True):
+            if name.endswith(wanted) or ours:
+                width = 2.0 if ours else 1.0
+                axes.plot(density, error, style, marker=".", color=family[1], lw=width)
+    for axes, title in zip(both, ("all thinned by trust", "OpenCV by uniqueness"), strict=True):
+        axes.plot([92, 92, 100], [0, 3.5, 3.5], "k--", lw=0.8, label="asked for")
+        for _, colour, label in families:
+            axes.plot([], [], color=colour, label=label)
+        axes.set(title=title, xlabel="density [%]", xlim=(69, 95), ylim=(0, 6))
+        axes.grid(alpha=0.3)
+    both[0].legend(loc="upper left", fontsize=8)
+    both[0].set_ylabel("over 3 px and 5 % [% of the disparities]")
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=70)
 
 
 def main(folder: Path, picture: Path) -> None:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+CLEAR_PX = 6
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -145,12 +147,14 @@ def rendered_scene(
 
 @dataclass(frozen=True, slots=True)
 class PoleScore:
-    """Counts that add up over scenes."""
+    """Counts that add up over scenes. `clear`: rows in which no other pole stands within 6 px."""
 
     pixels: int = 0
     found: int = 0
     thin_pixels: int = 0
     thin_found: int = 0
+    clear_pixels: int = 0
+    clear_found: int = 0
     rows: int = 0
     fat: int = 0
 
@@ -168,9 +172,28 @@ class PoleScore:
         return self.thin_found / self.thin_pixels
 
     @property
+    def clear_recall(self) -> float:
+        """The same where the pole stands clear of others in both views."""
+        return self.clear_found / self.clear_pixels
+
+    @property
     def fattening_px(self) -> float:
         """Pixels beside a pole that take its disparity, per pole and row."""
         return self.fat / self.rows
+
+
+def _clear(scene: Scene, side: int) -> NDArray[np.bool_]:
+    """Pole pixels of a view in whose rows the pole stands clear of others in both views."""
+    owners = scene.views[side].pole
+    clear = np.zeros(owners.shape, dtype=bool)
+    for number in range(len(scene.pole_width_px)):
+        crowded = np.zeros(len(owners), dtype=bool)
+        for view in scene.views:
+            of_pole = (view.pole == number).astype(np.uint8)
+            around = cv2.dilate(of_pole, np.ones((1, 2 * CLEAR_PX + 1), np.uint8)) > 0
+            crowded |= (around & (view.pole >= 0) & (view.pole != number)).any(axis=1)
+        clear |= (owners == number) & ~crowded[:, np.newaxis]
+    return clear
 
 
 def score_poles(scene: Scene, disparity: NDArray[np.float32], side: int) -> PoleScore:
@@ -188,6 +211,7 @@ def score_poles(scene: Scene, disparity: NDArray[np.float32], side: int) -> Pole
     right_value = known & (np.abs(disparity - view.disparity_px) <= 1)
     pole = (view.pole >= 0) & visible
     thin = pole & (scene.pole_width_px[view.pole] < 6)
+    clear = pole & _clear(scene, side)
     rows = fat = 0
     for number, truth in enumerate(scene.pole_disparity_px):
         of_pole = view.pole == number
@@ -203,6 +227,8 @@ def score_poles(scene: Scene, disparity: NDArray[np.float32], side: int) -> Pole
         int((pole & right_value).sum()),
         int(thin.sum()),
         int((thin & right_value).sum()),
+        int(clear.sum()),
+        int((clear & right_value).sum()),
         rows,
         fat,
     )
