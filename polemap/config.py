@@ -76,6 +76,9 @@ class TrackingConfig(BaseModel):
     speed_sd_mps: float = Field(0.1, ge=0.0)
     yaw_rate_sd_radps: float = Field(0.01, ge=0.0)
     drift_sd_mps: float = Field(0.05, ge=0.0, description="How fast a landmark may wander.")
+    disparity_offset_sd_px: float = Field(
+        0.2, ge=0.0, description="Error that all disparities may share; learned, 0 switches it off."
+    )
     gap_max_s: float = Field(1.0, gt=0.0, description="A longer gap in odometry drops all tracks.")
 
 

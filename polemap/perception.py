@@ -14,6 +14,7 @@ from drivelog.samples import OdometrySample, PoleScan, StereoFrame, VisibleRegio
 from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
 from polemap.detection import FrameView, detect
+from polemap.disparity_offset import DisparityOffset
 from polemap.models.io import read_classifier
 from polemap.odometry_window import OdometryWindow
 from polemap.tracking import PoleTracker, Sighting, Tracks
@@ -60,6 +61,7 @@ class PolePerception:
             classifier,
         )
         self._tracker = PoleTracker(config.tracking)
+        self._offset = DisparityOffset(rig, config.tracking) if rig is not None else None
         self._odometry = OdometryWindow(gap_max_s=config.tracking.gap_max_s)
         self._stamp_s: float | None = None
 
@@ -102,12 +104,19 @@ class PolePerception:
 
     def see(self, frame: StereoFrame, disparity: DisparityPair) -> Look:
         """`look` with disparity maps that are there already."""
-        if self._rig is None:
+        if self._rig is None or self._offset is None:
             raise InputError("perception: a stereo frame came, but the drive has no camera")
         if self._classifier is None:
             self._classifier = read_classifier(self._config.detection.model)
+        before = self._stamp_s
         view = detect(
-            frame.left, frame.right, disparity, self._rig, self._classifier, self._config.detection
+            frame.left,
+            frame.right,
+            disparity,
+            self._rig,
+            self._classifier,
+            self._config.detection,
+            self._offset.value_px,
         )
         found = view.detections
         sighting = Sighting(
@@ -120,6 +129,8 @@ class PolePerception:
             view.region,
         )
         scan = self._track(sighting, frame.arrival_s)
+        elapsed = frame.stamp_s - before if before is not None else np.inf
+        self._offset.see(frame.stamp_s, found, self._tracker.tracks, elapsed)
         return Look(frame, disparity, view, self._tracker.tracks, scan)
 
     def _track(self, sighting: Sighting, arrival_s: float) -> PoleScan:
@@ -129,8 +140,12 @@ class PolePerception:
             motion = self._odometry.between(self._stamp_s, sighting.stamp_s)
             if motion is None:  # a hole in the odometry, or a clock that went back
                 tracker.clear()
+                if self._offset is not None:
+                    self._offset.clear()
             else:
                 tracker.predict(motion)
+                if self._offset is not None:
+                    self._offset.move(motion)
         self._stamp_s = sighting.stamp_s
         tracker.update(sighting)
         tracks = tracker.tracks.take(tracker.tracks.confirmed)

@@ -1,0 +1,82 @@
+"""The learned disparity offset, on sightings of standing poles from a moving car."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from polemap.config import TrackingConfig
+from polemap.detection import Detections
+from polemap.disparity_offset import DisparityOffset
+from polemap.tracking import Motion, Tracks
+from stereo.rig import Mounting, StereoRig
+
+RIG = StereoRig(768, 480, 823.5, 383.5, 239.5, 0.30, Mounting(1.9, 0.15, 1.3, 0.0, 0.0, 0.0))
+FOCAL_BASELINE = RIG.focal_px * RIG.baseline_m
+ORIGIN = np.array([1.9, 0.15])
+STEP_M, DT_S = 0.8, 0.1
+
+
+def drive(
+    missing_px: float, config: TrackingConfig, *, seed: int = 0, frames: int = 60
+) -> DisparityOffset:
+    """A car on a gentle bend past six poles; every disparity lacks `missing_px`."""
+    rng = np.random.default_rng(seed)
+    offset = DisparityOffset(RIG, config)
+    poles = np.array([[20 + 9.0 * k, (-1) ** k * 4.0 + 0.05 * k**2] for k in range(6)])
+    pose = np.zeros(3)
+    for frame in range(frames):
+        if frame:
+            turn = 0.004
+            offset.move(Motion(DT_S, STEP_M, 0.0, turn, STEP_M))
+            pose = pose + np.array([STEP_M * np.cos(pose[2]), STEP_M * np.sin(pose[2]), turn])
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        rays = (poles - pose[:2]) @ np.array([[c, -s], [s, c]]) - ORIGIN
+        seen = np.flatnonzero((rays[:, 0] > 4.0) & (rays[:, 0] < 25.0))
+        rays, count = rays[seen], len(seen)
+        raw = FOCAL_BASELINE / rays[:, 0] - missing_px + 0.1 * rng.standard_normal(count)
+        disparity = raw + offset.value_px
+        points = ORIGIN + rays * (FOCAL_BASELINE / disparity / rays[:, 0])[:, None]
+        away = rays[:, 0]
+        covariance = np.zeros((count, 2, 2))
+        covariance[:, 0, 0] = (0.3 * away**2 / FOCAL_BASELINE) ** 2 + 1e-3
+        covariance[:, 1, 1] = 0.05**2
+        none = np.zeros(count)
+        found = Detections(
+            none, none, none, none, none, disparity, points, covariance, none, none,
+            none.astype(bool), np.zeros((count, 1)), none,
+        )  # fmt: skip
+        tracks = Tracks(
+            seen.astype(np.int64), points, covariance, none, none, none, none,
+            np.ones(count, np.int64), none, none, np.ones(count, bool), np.arange(count),
+        )  # fmt: skip
+        offset.see(frame * DT_S, found, tracks, DT_S if frame else np.inf)
+    return offset
+
+
+@pytest.mark.parametrize("missing_px", [-0.3, 0.0, 0.3])
+def test_a_constant_error_of_all_disparities_is_learned(missing_px: float) -> None:
+    learned = [drive(missing_px, TrackingConfig(), seed=seed) for seed in range(5)]
+    assert learned[0].sd_px < 0.6 * TrackingConfig().disparity_offset_sd_px
+    for one in learned:
+        assert one.value_px == pytest.approx(missing_px, abs=3.0 * one.sd_px)
+    # what is left is at most the pull of the prior
+    kept = 1.0 - (learned[0].sd_px / TrackingConfig().disparity_offset_sd_px) ** 2
+    mean = np.mean([one.value_px for one in learned])
+    assert mean == pytest.approx(kept * missing_px, abs=0.05)
+
+
+def test_without_prior_spread_nothing_is_learned() -> None:
+    off = drive(0.3, TrackingConfig(disparity_offset_sd_px=0.0))
+    assert off.value_px == 0.0
+    assert off.sd_px == 0.0
+
+
+def test_a_standing_car_learns_nothing() -> None:
+    offset = drive(0.3, TrackingConfig(), frames=1)
+    assert offset.value_px == 0.0
+    assert offset.sd_px == TrackingConfig().disparity_offset_sd_px
+
+
+def test_a_track_that_contradicts_the_others_is_left_out() -> None:
+    assert drive(3.0, TrackingConfig()).value_px == 0.0
