@@ -20,33 +20,46 @@ KERNEL_INLINE void store(void* place, Vector value) {
   __builtin_memcpy(place, &value, sizeof(Vector));
 }
 
+// Hamming distances of kCount pixels side by side from three census bytes each.
 #if defined(KERNEL_HAS_BYTE_POPCOUNT)
-KERNEL_INLINE u8 hamming(u8 a, u8 b, u8 c) {
-  return static_cast<u8>(__builtin_popcount(a) + __builtin_popcount(b) + __builtin_popcount(c));
-}
-#else
-// Counts the bits of three bytes together: a full adder first, then two counts instead of three.
-KERNEL_INLINE u8 hamming(u8 a, u8 b, u8 c) {
-  const u8 half = a ^ b;
-  const u8 ones = half ^ c;
-  const u8 twos = (a & b) | (half & c);
-  const u8 ones2 = ones - ((ones >> 1) & 0x55);
-  const u8 twos2 = twos - ((twos >> 1) & 0x55);
-  const u8 ones4 = (ones2 & 0x33) + ((ones2 >> 2) & 0x33);
-  const u8 twos4 = (twos2 & 0x33) + ((twos2 >> 2) & 0x33);
-  const u8 both = ones4 + twos4 + twos4;
-  return (both & 0x0F) + (both >> 4);
-}
-#endif
-
 template <int kCount>
 KERNEL_INLINE void cost_lanes(const u8* __restrict l0, const u8* __restrict l1,
                               const u8* __restrict l2, const u8* __restrict r0,
                               const u8* __restrict r1, const u8* __restrict r2,
                               u8* __restrict cost) {
   for (int i = 0; i < kCount; ++i)
-    cost[i] = hamming(l0[i] ^ r0[i], l1[i] ^ r1[i], l2[i] ^ r2[i]);
+    cost[i] = static_cast<u8>(__builtin_popcount(static_cast<u8>(l0[i] ^ r0[i])) +
+                              __builtin_popcount(static_cast<u8>(l1[i] ^ r1[i])) +
+                              __builtin_popcount(static_cast<u8>(l2[i] ^ r2[i])));
 }
+#else
+// Words of four pixels: no processor shifts bytes, and no field here outgrows its byte.
+typedef u32 Fours __attribute__((vector_size(KERNEL_BYTES)));
+
+// Counts the bits of three bytes together: a full adder first, then two counts instead of three.
+KERNEL_INLINE Fours hamming(Fours a, Fours b, Fours c) {
+  const Fours half = a ^ b;
+  const Fours ones = half ^ c;
+  const Fours twos = (a & b) | (half & c);
+  const Fours ones2 = ones - ((ones >> 1) & 0x55555555u);
+  const Fours twos2 = twos - ((twos >> 1) & 0x55555555u);
+  const Fours ones4 = (ones2 & 0x33333333u) + ((ones2 >> 2) & 0x33333333u);
+  const Fours twos4 = (twos2 & 0x33333333u) + ((twos2 >> 2) & 0x33333333u);
+  const Fours both = ones4 + twos4 + twos4;
+  return (both & 0x0F0F0F0Fu) + ((both >> 4) & 0x0F0F0F0Fu);
+}
+
+template <int kCount>
+KERNEL_INLINE void cost_lanes(const u8* __restrict l0, const u8* __restrict l1,
+                              const u8* __restrict l2, const u8* __restrict r0,
+                              const u8* __restrict r1, const u8* __restrict r2,
+                              u8* __restrict cost) {
+  for (int i = 0; i < kCount; i += KERNEL_BYTES)
+    store<Fours>(cost + i, hamming(load<Fours>(l0 + i) ^ load<Fours>(r0 + i),
+                                   load<Fours>(l1 + i) ^ load<Fours>(r1 + i),
+                                   load<Fours>(l2 + i) ^ load<Fours>(r2 + i)));
+}
+#endif
 
 // Matching costs of columns [x, x + kLanes) of one row for `count` disparities, from `shift` upwards.
 KERNEL_INLINE void cost_rows(const u8* __restrict l0, const u8* __restrict l1,

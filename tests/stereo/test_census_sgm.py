@@ -190,3 +190,21 @@ def test_one_matcher_serves_threads_and_sizes():
         together = list(pool.map(lambda pair: matcher.match(*pair).left, pairs * 3))
     for expected, got in zip(alone * 3, together, strict=True):
         np.testing.assert_array_equal(expected, got)
+
+
+def test_maps_are_kept_while_python_holds_them():
+    """Their memory is used again, but not before the last reference has gone."""
+    matcher = make_matcher(StereoConfig(disparities=32))
+    wide = textured(3, (60, 170)).astype(np.uint8)
+    first = matcher.match(wide[:, :160], wide[:, 7:167])
+    row = first.left[30]
+    before = [getattr(first, name).copy() for name in MAPS]
+    for shift in range(10):
+        matcher.match(wide[:, :160], wide[:, shift : shift + 160])
+    for name, expected in zip(MAPS, before, strict=True):
+        np.testing.assert_array_equal(getattr(first, name), expected)
+    del first
+    other = matcher.match(wide[:, 8:168], wide[:, :160])
+    del matcher
+    np.testing.assert_array_equal(row, before[0][30])
+    assert other.left.flags.writeable
