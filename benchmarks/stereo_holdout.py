@@ -5,7 +5,7 @@
 A small grid of penalties. Each half of the pairs (1, 3, 5 ... and 2, 4, 6 ...) chooses the one with
 the least error at one density, thinned by stereo/trust.py to what every setting reaches on that
 half; the other half is the judge. Twice: by the pairs alone, and only among settings that find
-nearly as many pole pixels (rendered streets 12 to 15) as the best.
+nearly as many pole pixels (rendered streets 4 to 7) as the best.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from stereo.trust import LAWS
 P1 = (3, 5, 8)
 ACROSS = ((110, 4.0), (110, 8.0), (150, 12.0), (180, 20.0))  # gamma, alpha
 UPRIGHT_P2_MAX = (80, 120)
-STREETS = range(12, 16)
+STREETS = range(4, 8)
 POLE_LOSS = 0.005
 
 
