@@ -24,6 +24,7 @@ def sample_motion(
     config: LocalizeConfig,
     rng: np.random.Generator,
     slip_rad_per_mps2: Floats | float = 0.0,
+    factors: Floats | tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Floats:
     """Front-axle poses `(n, 3)` after the arcs, each particle with its own noise; yaw not wrapped.
 
@@ -36,6 +37,8 @@ def sample_motion(
     paper leaves out. On an arc of lateral acceleration a it goes in the direction yaw - k a, with
     `slip_rad_per_mps2` k of every particle, `(n,)`.
 
+    `factors` scale the noise along, aside and of the turn (`NoiseScale`).
+
     Source: Spangenberg (2016), equations (1)-(6), without the division by the yaw rate.
     """
     count = len(poses)
@@ -43,19 +46,25 @@ def sample_motion(
     # the rear axle carries the arc; the front axle is put back once, at the end
     east = poses[:, 0] - wheelbase_m * np.cos(yaw)
     north = poses[:, 1] - wheelbase_m * np.sin(yaw)
+    along, beside, turning = factors
     for arc in arcs:
         speed_sd, yaw_rate_sd, turn_sd = noise_of_arc(arc, config)
         noise = rng.standard_normal((4, count))
-        distance = (arc.speed_mps + speed_sd * noise[0]) * arc.dt_s
-        half = (0.5 * arc.dt_s) * (arc.yaw_rate_radps + yaw_rate_sd * noise[1])
+        distance = (arc.speed_mps + along * speed_sd * noise[0]) * arc.dt_s
+        half = (0.5 * arc.dt_s) * (arc.yaw_rate_radps + turning * yaw_rate_sd * noise[1])
         chord = distance * sinc(half)
         heading = yaw + half
         way = heading - slip_rad_per_mps2 * (arc.speed_mps * arc.yaw_rate_radps)
         c, s = np.cos(way), np.sin(way)
-        aside = config.alpha5_slip_m_per_sqrt_m * np.sqrt(abs(arc.speed_mps) * arc.dt_s) * noise[3]
-        east += chord * c - aside * s
-        north += chord * s + aside * c
-        yaw = heading + half + turn_sd * noise[2]
+        left = (
+            beside
+            * config.alpha5_slip_m_per_sqrt_m
+            * np.sqrt(abs(arc.speed_mps) * arc.dt_s)
+            * noise[3]
+        )
+        east += chord * c - left * s
+        north += chord * s + left * c
+        yaw = heading + half + turning * turn_sd * noise[2]
     return np.stack(
         [east + wheelbase_m * np.cos(yaw), north + wheelbase_m * np.sin(yaw), yaw], axis=1
     )

@@ -17,6 +17,7 @@ from localize.gnss_fixes import GnssFixes
 from localize.health import HealthRecord, LostDetector
 from localize.likelihood import Match, PoleWeigher, independent_share, tempered
 from localize.motion_noise import sample_motion
+from localize.noise_scale import NoiseScale
 from localize.odometry_history import OdometryHistory
 from localize.particles import (
     effective_count,
@@ -72,6 +73,7 @@ class ParticleFilter:
         self._rng = rng
         self._history = OdometryHistory(config.odometry_gap_s, config.slip_rad_per_mps2)
         self._calibration = OdometryCalibration(config)
+        self._noise = NoiseScale(config)
         self._relocation = Relocation(pole_map, config)
         self._averages = LikelihoodAverages(config)
         self._lost = LostDetector(config)
@@ -85,6 +87,7 @@ class ParticleFilter:
         self._used_share = 0.0
         self._explored_share = 0.0
         self._proof = StartProof(config)
+        self._trusted = False
         self.counts: Counter[str] = Counter()
 
     @property
@@ -171,6 +174,7 @@ class ParticleFilter:
             event = self._recover(scan, reckoned)
         estimate = self._estimate(scan, event, step)
         self._resample(estimate.health.n_eff)
+        self._trusted = estimate.healthy and estimate.health.position_sd_major_m < 0.5
         self._calibration.learn(
             stamp, estimate.pose, estimate.covariance, self._held_by_poles(estimate)
         )
@@ -179,7 +183,13 @@ class ParticleFilter:
     def _move(self, stamp_s: float) -> None:
         arcs = self._history.arcs(self._stamp_s, stamp_s, self._config.arc_s)
         moved = sample_motion(
-            self._poses, arcs, self._wheelbase_m, self._config, self._rng, self._slips
+            self._poses,
+            arcs,
+            self._wheelbase_m,
+            self._config,
+            self._rng,
+            self._slips,
+            self._noise.factors if self._proof.proven else np.ones(3),
         )
         moved[:, 2] = wrap_angle(moved[:, 2])
         self._poses = moved
@@ -204,12 +214,15 @@ class ParticleFilter:
         self._landmarks = self._weigher.near(rear, scan)
         result = self._weigher.weigh(rear, scan, self._landmarks)
         before, _ = normalized(self._log_weights)
+        expected = mean_and_covariance(rear, before)
         self._log_weights, self._used_share = tempered(
             self._log_weights,
             result.log_likelihood,
             share,
             config.min_effective_share * len(self._poses),
         )
+        weighed = mean_and_covariance(rear, normalized(self._log_weights)[0])
+        self._noise.add(expected, weighed, self._used_share, self._trusted)
         self._scan_evidence = log_mean(result.log_likelihood, before)
         self._averages.update(scan.stamp_s, normalized_quality(result, before, len(scan)))
 

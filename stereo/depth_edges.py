@@ -128,7 +128,7 @@ def depth_edges(
         near = np.concatenate([seen.near, bare.near])
         far = np.concatenate([seen.far, bare.far])
         occluding = np.concatenate([seen.band, np.zeros(len(bare.row), dtype=bool)])
-        order = np.argsort(row * np.float64(1 << 20) + column)
+        order = np.argsort(row * np.float64(1 << 20) + column, kind="stable")
         row = (row[order] * maps.row_step_px).astype(np.int32)
         sides.append(DepthEdges(row, column[order], near[order], far[order], occluding[order]))
     return sides[0], sides[1]

@@ -60,7 +60,7 @@ def _plain_edges(maps: UprightMaps, step_min: float, depth: float) -> tuple[Dept
         row, column = np.concatenate([seen[0], bare[0]]), np.concatenate(columns)
         near, far = (np.concatenate([seen[k], bare[k]]) for k in (2, 3))
         occluding = np.concatenate([seen[4], np.zeros(len(bare[0]), dtype=bool)])
-        order = np.argsort(row * np.float64(1 << 20) + column)
+        order = np.argsort(row * np.float64(1 << 20) + column, kind="stable")
         row = (row[order] * maps.row_step_px).astype(np.int32)
         sides.append(DepthEdges(row, column[order], near[order], far[order], occluding[order]))
     return sides[0], sides[1]
