@@ -1,0 +1,198 @@
+"""The particle filter behind the camera: simulated routes at 22 pairs a second, many seeds.
+
+    python -m benchmarks.localize_worlds [SEEDS] [ROUTE ...]
+
+The routes are those of `report_routes`. Every fourth frame of lap 1 makes the map; lap 2 is
+localized in it, once with all frames and 1000 particles, once with every second frame and 300. All
+is judged against the simulator's truth from `SETTLED_S` after the first pose on. Frames are
+rendered and seen once, the seeds differ in the filter. Not timed, so `python -m benchmarks` leaves
+it out.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.report_routes import CORNERS_M, short_world
+from drivelog.drive import Drive, open_drive
+from drivelog.samples import Image, PoleScan, StereoFrame
+from localize.config import LocalizeConfig
+from localize.metrics import nees, pose_errors
+from localize.replay import Trajectory, replay
+from polemap.build import build_map
+from polemap.config import PolemapConfig
+from polemap.landmark_map import PoleMap
+from polemap.perception import PolePerception
+from simulate.config import SimulateConfig
+from simulate.drive import Plan, Studio, make_plan, simulate_drive
+from simulate.scenario import Scenario
+from simulate.world import World, make_world
+from stereo.config import StereoConfig
+from stereo.matching import DisparityPair, StereoMatcher, make_matcher
+
+Floats = NDArray[np.float64]
+
+RATE_HZ = 22.0
+MAP_EVERY = 4
+SETTLED_S = 5.0
+SEED = 0
+CASES: dict[str, tuple[int, dict[str, int]]] = {
+    "22 Hz, 1000 particles": (1, {}),
+    "11 Hz, 300 particles": (2, {"particles": 300}),
+}
+COLUMNS = (
+    "lateral", "along", "yaw_deg", "nees", "largest", "kf_lateral", "kf_along", "kf_nees",
+    "reinitialized",
+)  # fmt: skip
+
+_studio: tuple[Studio, StereoMatcher] | None = None
+
+
+def scenario_of(route: str) -> Scenario:
+    """The route of the evaluation, at the frame rate of the paper's camera."""
+    tree = short_world(route).model_dump(mode="json")
+    tree["drive"]["frame_rate_hz"] = RATE_HZ
+    return Scenario.model_validate(tree)
+
+
+def plan_of(route: str) -> tuple[World, Plan]:
+    """World and drive of two laps."""
+    scenario, config = scenario_of(route), SimulateConfig()
+    world = make_world(scenario.lit(config.light), SEED)
+    return world, make_plan(world.route, world.scenario, 2, SEED, config)
+
+
+def _open_studio(route: str) -> None:
+    global _studio
+    cv2.setNumThreads(1)
+    world, plan = plan_of(route)
+    studio = Studio(plan, world, 1)
+    _studio = studio, make_matcher(StereoConfig(threads=1), studio.renderer.rig)
+
+
+def _take(number: int) -> tuple[Image, Image, DisparityPair]:
+    assert _studio is not None
+    studio, matcher = _studio
+    shot = studio.shot(number)
+    return shot.left, shot.right, matcher.match(shot.left, shot.right)
+
+
+def see(route: str, drive: Drive, lap: int, every: int) -> list[PoleScan]:
+    """The scans of a lap, from every n-th frame."""
+    _, plan = plan_of(route)
+    span = drive.laps[lap]
+    numbers = [
+        n for n, s in enumerate(plan.frame_stamps_s) if span.start_s <= s < span.end_s
+    ][::every]  # fmt: skip
+    assert drive.odometry is not None
+    perception, odometry = PolePerception(drive.rig, PolemapConfig()), drive.odometry
+    row = int(np.searchsorted(odometry.stamp_s, span.start_s - 1.0))
+    scans = []
+    with ProcessPoolExecutor(2, get_context("spawn"), _open_studio, (route,)) as pool:
+        for number, (left, right, disparity) in zip(
+            numbers, pool.map(_take, numbers, chunksize=2), strict=True
+        ):
+            stamp = float(plan.frame_stamps_s[number])
+            while row < len(odometry) and odometry.stamp_s[row] <= stamp:
+                perception.push_odometry(odometry.sample(row))
+                row += 1
+            arrival = float(plan.frame_arrivals_s[number])
+            frame = StereoFrame(stamp, arrival, number, left, right)
+            scans.append(perception.see(frame, disparity).scan)
+    return scans
+
+
+def map_of(drive: Drive, scans: list[PoleScan]) -> PoleMap:
+    """The map of lap 1; at a quarter of the frames a pole is seen in fewer."""
+    config = PolemapConfig()
+    few = config.mapping.model_copy(update={"observations_min": 5})
+    config = config.model_copy(update={"mapping": few})
+    return build_map([drive.lap(drive.laps[0].name)], config, lambda _: scans).pole_map
+
+
+def judge(
+    folder: Path, pole_map: PoleMap, scans: list[PoleScan], changes: dict[str, int], seed: int
+) -> list[float]:
+    """Figures of one run, in the order of `COLUMNS`."""
+    drive = open_drive(folder)
+    table = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
+    lap = drive.lap(drive.laps[1].name)
+    run = replay(lap, pole_map, scans, LocalizeConfig(**changes), seed=seed)
+    particle, output = (_errors(track, table) for track in (run.pf, run.kf))
+    lateral, along, yaw, consistency, largest = particle
+    counts = run.metrics.get("counts", {})
+    again = float(counts.get("reinitializations", 0))
+    return [
+        lateral, along, yaw, consistency, largest, output[0], output[1], output[3], again
+    ]  # fmt: skip
+
+
+def _errors(track: Trajectory, table: NDArray[np.void]) -> tuple[float, ...]:
+    stamps = track.stamps_s
+    rows = stamps > stamps[0] + SETTLED_S
+    true = np.column_stack(
+        [
+            np.interp(stamps[rows], table["stamp_s"], table["east_m"]),
+            np.interp(stamps[rows], table["stamp_s"], table["north_m"]),
+            np.interp(stamps[rows], table["stamp_s"], np.unwrap(table["yaw_rad"])),
+        ]
+    )
+    error = pose_errors(track.poses[rows], true)
+    along, lateral, yaw = np.sqrt((error**2).mean(axis=0)).tolist()
+    consistency = nees(track.poses[rows], true, track.covariance[rows])
+    largest = np.hypot(error[:, 0], error[:, 1]).max()
+    return (
+        lateral,
+        along,
+        float(np.degrees(yaw)),
+        float(np.nanmean(consistency)) / 3.0,
+        float(largest),
+    )
+
+
+def rows_of(route: str, seeds: int) -> Iterator[str]:
+    """A line a case: mean, spread and worst over the seeds."""
+    with TemporaryDirectory() as name:
+        folder = Path(name) / route
+        simulate_drive(
+            scenario_of(route), folder, 2, SEED, SimulateConfig(), objects=True, images=False
+        )
+        drive = open_drive(folder)
+        pole_map = map_of(drive, see(route, drive, 0, MAP_EVERY))
+        scans = see(route, drive, 1, 1)
+        for case, (every, changes) in CASES.items():
+            with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+                runs = pool.map(
+                    judge, repeat(folder), repeat(pole_map), repeat(scans[::every]),
+                    repeat(changes), range(seeds),
+                )  # fmt: skip
+                table = np.array(list(runs))
+            figures = zip(
+                COLUMNS, table.mean(axis=0), table.std(axis=0), table.max(axis=0), strict=True
+            )
+            yield f"{route} | {case} | {len(pole_map)} poles | " + " | ".join(
+                f"{name} {mean:.3f} sd {sd:.3f} worst {worst:.3f}"
+                for name, mean, sd, worst in figures
+            )
+
+
+def main(words: list[str]) -> None:
+    """Print every route as it is done."""
+    seeds = int(words[0]) if words else 20
+    for route in words[1:] or list(CORNERS_M):
+        for line in rows_of(route, seeds):
+            print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
