@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from drivelog.samples import GnssFix, OdometrySample, PoleScan
 from localize.calibration import OdometryCalibration, OdometryCorrection
+from localize.cloud import Cloud
 from localize.config import LocalizeConfig
 from localize.estimate import Event, PfEstimate
 from localize.exploration import LikelihoodAverages, normalized_quality
 from localize.gnss_fixes import GnssFixes
 from localize.health import HealthRecord, LostDetector
 from localize.likelihood import Match, PoleWeigher, independent_share, tempered
-from localize.motion_noise import sample_motion
 from localize.noise_scale import NoiseScale
 from localize.odometry_history import OdometryHistory
 from localize.particles import (
@@ -24,15 +24,12 @@ from localize.particles import (
     log_mean,
     mean_and_covariance,
     modes_of,
-    normalized,
     position_sd,
 )
 from localize.relocation import Relocation, Verdict
-from localize.resampling import jittered, low_variance_indices, particles_needed
 from localize.start_proof import StartProof
 from polemap.association import Landmarks
 from polemap.landmark_map import PoleMap
-from vehicle.pose import shift_forward, wrap_angle
 
 Floats = NDArray[np.float64]
 _RESTART_SHARE = 0.75
@@ -69,7 +66,6 @@ class ParticleFilter:
         self._weigher = PoleWeigher(pole_map, config)
         self._landmarks = Landmarks.of(pole_map, config.p_detection)
         self._config = config
-        self._wheelbase_m = wheelbase_m
         self._rng = rng
         self._history = OdometryHistory(config.odometry_gap_s, config.slip_rad_per_mps2)
         self._calibration = OdometryCalibration(config)
@@ -78,9 +74,7 @@ class ParticleFilter:
         self._averages = LikelihoodAverages(config)
         self._lost = LostDetector(config)
         self._fixes = GnssFixes(config)
-        self._poses = np.empty((0, 3))
-        self._slips = np.empty(0)
-        self._log_weights = np.empty(0)
+        self._cloud = Cloud(config, wheelbase_m, rng)
         self._stamp_s = -np.inf
         self._travelled_m = 0.0
         self._scan_evidence = 0.0
@@ -93,7 +87,7 @@ class ParticleFilter:
     @property
     def initialized(self) -> bool:
         """Whether there is a cloud yet."""
-        return len(self._poses) > 0
+        return len(self._cloud) > 0
 
     @property
     def correction(self) -> OdometryCorrection:
@@ -105,13 +99,13 @@ class ParticleFilter:
         """Outward slip of the rear axle per lateral acceleration, as the cloud guesses it."""
         if not self.initialized:
             return self._config.slip_rad_per_mps2
-        return float(self._slips @ normalized(self._log_weights)[0])
+        return self._cloud.slip_rad_per_mps2
 
     def particles(self) -> tuple[Floats, Floats]:
         """Front-axle poses `(n, 3)` and weights `(n,)`, for pictures and tests."""
         if not self.initialized:
             return np.empty((0, 3)), np.empty(0)
-        return self._poses.copy(), normalized(self._log_weights)[0]
+        return self._cloud.poses.copy(), self._cloud.weights
 
     def predict(self, odometry: OdometrySample) -> None:
         """Take in odometry; samples that are not finite or not newer are counted and dropped."""
@@ -134,7 +128,7 @@ class ParticleFilter:
         drawn = self._rng.multivariate_normal(
             np.asarray(pose), np.asarray(covariance), size=self._config.particles, method="cholesky"
         )
-        self._place(drawn, np.zeros(len(drawn)))
+        self._cloud.place(drawn, np.zeros(len(drawn)))
         self._stamp_s, self._travelled_m = stamp_s, self._history.travelled_m(stamp_s)
         self._averages.reset()
         self._lost.reset()
@@ -155,7 +149,8 @@ class ParticleFilter:
         self._relocation.add_scan(scan, reckoned, travelled)
         event: Event | None = None
         if self.initialized:
-            self._move(stamp)
+            arcs = self._history.arcs(self._stamp_s, stamp, self._config.arc_s)
+            self._cloud.move(arcs, self._noise.factors if self._proof.proven else np.ones(3))
             share = independent_share(
                 travelled - self._travelled_m, stamp - self._stamp_s, self._config
             )
@@ -164,64 +159,36 @@ class ParticleFilter:
             drawn = self._relocation.start(count, stamp, reckoned, self._rng)
             if len(drawn) == 0:
                 return None
-            self._place(drawn, np.zeros(len(drawn)))
+            self._cloud.place(drawn, np.zeros(len(drawn)))
             event, share = "initialized", _FIRST_SHARE
         step = _Step(reckoned, travelled - self._travelled_m, stamp - self._stamp_s)
         self._stamp_s, self._travelled_m = stamp, travelled
-        self._log_weights = self._fixes.weigh(self._log_weights, self._rear(), stamp, self._history)
+        cloud = self._cloud
+        cloud.log_weights = self._fixes.weigh(cloud.log_weights, cloud.rear, stamp, self._history)
         self._weigh_scan(scan, share)
         if event is None:
             event = self._recover(scan, reckoned)
         estimate = self._estimate(scan, event, step)
-        self._resample(estimate.health.n_eff)
+        cloud.resample(estimate.health.n_eff)
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < 0.5
         self._calibration.learn(
             stamp, estimate.pose, estimate.covariance, self._held_by_poles(estimate)
         )
         return estimate
 
-    def _move(self, stamp_s: float) -> None:
-        arcs = self._history.arcs(self._stamp_s, stamp_s, self._config.arc_s)
-        moved = sample_motion(
-            self._poses,
-            arcs,
-            self._wheelbase_m,
-            self._config,
-            self._rng,
-            self._slips,
-            self._noise.factors if self._proof.proven else np.ones(3),
-        )
-        moved[:, 2] = wrap_angle(moved[:, 2])
-        self._poses = moved
-
-    def _rear(self) -> Floats:
-        return shift_forward(self._poses, -self._wheelbase_m)
-
-    def _place(self, rear: Floats, log_weights: Floats, slips: Floats | None = None) -> None:
-        self._poses = shift_forward(rear, self._wheelbase_m)
-        self._poses[:, 2] = wrap_angle(self._poses[:, 2])
-        self._log_weights = log_weights
-        self._slips = self._drawn_slips(len(rear)) if slips is None else slips
-
-    def _drawn_slips(self, count: int) -> Floats:
-        """Slip of newcomers: from what is known of any car, for which none is negative."""
-        mean, sd = self._config.slip_rad_per_mps2, self._config.slip_sd_rad_per_mps2
-        return np.abs(mean + sd * self._rng.standard_normal(count))
-
     def _weigh_scan(self, scan: PoleScan, share: float) -> None:
-        config = self._config
-        rear = self._rear()
+        cloud = self._cloud
+        rear, before = cloud.rear, cloud.weights
         self._landmarks = self._weigher.near(rear, scan)
         result = self._weigher.weigh(rear, scan, self._landmarks)
-        before, _ = normalized(self._log_weights)
         expected = mean_and_covariance(rear, before)
-        self._log_weights, self._used_share = tempered(
-            self._log_weights,
+        cloud.log_weights, self._used_share = tempered(
+            cloud.log_weights,
             result.log_likelihood,
             share,
-            config.min_effective_share * len(self._poses),
+            self._config.min_effective_share * len(cloud),
         )
-        weighed = mean_and_covariance(rear, normalized(self._log_weights)[0])
+        weighed = mean_and_covariance(rear, cloud.weights)
         self._noise.add(expected, weighed, self._used_share, self._trusted)
         self._scan_evidence = log_mean(result.log_likelihood, before)
         self._averages.update(scan.stamp_s, normalized_quality(result, before, len(scan)))
@@ -229,7 +196,7 @@ class ParticleFilter:
     def _recover(self, scan: PoleScan, reckoned: Floats) -> Event | None:
         """Start anew when lost, explore when the likelihood has fallen."""
         self._explored_share = 0.0
-        total = len(self._poses)
+        total = len(self._cloud)
         if self._proof.contradicted:
             return self._begin_elsewhere(scan, reckoned)
         if self._lost.lost and self._relocation.rested(scan.stamp_s):
@@ -261,7 +228,7 @@ class ParticleFilter:
 
     def _begin_elsewhere(self, scan: PoleScan, reckoned: Floats) -> Event | None:
         """The poles of the last metres fit clearly better at another place."""
-        count = round(_RESTART_SHARE * len(self._poses))
+        count = round(_RESTART_SHARE * len(self._cloud))
         drawn = self._relocation.draw(count, scan.stamp_s, reckoned, self._rng)
         if len(drawn) == 0:
             return None
@@ -276,20 +243,12 @@ class ParticleFilter:
 
     def _mix_in(self, rear: Floats, log_weights: Floats) -> None:
         """Let poses take the places of as many particles."""
-        total = len(self._poses)
-        self._explored_share = len(rear) / total
-        weights, _ = normalized(self._log_weights)
-        kept = low_variance_indices(weights, total - len(rear), self._rng)
-        self._place(
-            np.vstack([self._rear()[kept], rear]),
-            np.concatenate([np.zeros(len(kept)), log_weights]),
-            np.concatenate([self._slips[kept], self._drawn_slips(len(rear))]),
-        )
+        self._explored_share = len(rear) / len(self._cloud)
+        self._cloud.mix_in(rear, log_weights)
 
     def _estimate(self, scan: PoleScan, event: Event | None, step: _Step) -> PfEstimate:
         config = self._config
-        rear = self._rear()
-        weights, _ = normalized(self._log_weights)
+        rear, weights = self._cloud.rear, self._cloud.weights
         mean, covariance = mean_and_covariance(rear, weights)
         major, minor = position_sd(covariance)
         modes = modes_of(rear, weights, mean, covariance, config)
@@ -359,15 +318,3 @@ class ParticleFilter:
     def _held_by_poles(self, estimate: PfEstimate) -> bool:
         health = estimate.health
         return estimate.healthy and health.matched >= 2 and health.position_sd_major_m < 0.5
-
-    def _resample(self, n_eff: float) -> None:
-        config = self._config
-        total = len(self._poses)
-        if n_eff >= config.resample_below * total and not config.kld_adaptive:
-            return
-        weights, _ = normalized(self._log_weights)
-        count = particles_needed(self._poses, weights, config)
-        chosen = low_variance_indices(weights, count, self._rng)
-        self._slips = jittered(self._slips[chosen], self._rng)
-        self._poses = self._poses[chosen]
-        self._log_weights = np.zeros(count)
