@@ -95,7 +95,10 @@ def see(route: str, drive: Drive, lap: int, every: int) -> list[PoleScan]:
         n for n, s in enumerate(plan.frame_stamps_s) if span.start_s <= s < span.end_s
     ][::every]  # fmt: skip
     assert drive.odometry is not None
-    perception, odometry = PolePerception(drive.rig, PolemapConfig()), drive.odometry
+    perception, odometry = (
+        PolePerception(SimulateConfig().camera.rig(), PolemapConfig()),
+        drive.odometry,
+    )
     row = int(np.searchsorted(odometry.stamp_s, span.start_s - 1.0))
     scans = []
     with ProcessPoolExecutor(2, get_context("spawn"), _open_studio, (route,)) as pool:
