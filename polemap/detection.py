@@ -80,7 +80,6 @@ def detect(
     rig: StereoRig,
     classifier: PoleClassifier | None,
     config: DetectionConfig,
-    offset_px: float = 0.0,
 ) -> FrameView:
     """Find the poles of one frame.
 
@@ -91,7 +90,6 @@ def detect(
         classifier: says how likely a hypothesis is a pole; without one, as for training, all
             hypotheses are kept with probability 0.5.
         config: settings.
-        offset_px: is added to the disparity of every pole (`DisparityOffset`).
     """
     focal_baseline = rig.focal_px * rig.baseline_m
     maps = upright_maps(disparity, config.row_step_px)
@@ -119,7 +117,7 @@ def detect(
     # the matcher's own value, where the fit failed, is worth less than it claims
     refined_sd = np.hypot(refined_sd, config.matcher_sd_px)
     refined_sd[likely] = np.where(fit.trusted, fit.sd_px, refined_sd[likely])
-    found = _locate(stems, profiles, refined + offset_px, refined_sd, probability, rig, config)
+    found = _locate(stems, profiles, refined, refined_sd, probability, rig, config)
     distance = np.hypot(*(found.points_vehicle_m - region.origin_vehicle_m).T)
     found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
     found = _suppress(found) if classifier is not None else found

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.config import TrackingConfig
-from polemap.detection import Detections
-from polemap.tracking import Motion, Tracks
+from polemap.tracking import Motion, Sighting, Tracks
 from stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
@@ -46,6 +45,7 @@ class DisparityOffset:
         self._config = config
         camera = rig.vehicle_from_camera
         self._origin_m = np.array([camera.x_m, camera.y_m])
+        self._ahead = np.array([np.cos(camera.yaw_rad), np.sin(camera.yaw_rad)])
         self._focal_baseline = rig.focal_px * rig.baseline_m
         self._sums: dict[int, _Sum] = {}
         self._pose = np.zeros(3)
@@ -73,12 +73,18 @@ class DisparityOffset:
             ]
         )
 
-    def see(self, stamp_s: float, found: Detections, tracks: Tracks, elapsed_s: float) -> None:
+    def corrected(self, points_vehicle_m: Floats) -> Floats:
+        """Points `(n, 2)` from the camera's own disparities, moved by the present value."""
+        ray = points_vehicle_m - self._origin_m
+        short = 1.0 + self.value_px * (ray @ self._ahead) / self._focal_baseline
+        return np.asarray(self._origin_m + ray / short[:, np.newaxis])
+
+    def see(self, sighting: Sighting, tracks: Tracks, elapsed_s: float) -> None:
         """Add the detections that tracks took; tracks that ended count for good.
 
         Args:
-            found: detections located with the present value.
-            tracks: after their update with these detections.
+            sighting: of corrected points.
+            tracks: after their update with it.
             elapsed_s: time since the frame before, inf for the first.
         """
         time_s = self._config.error_time_s
@@ -88,22 +94,22 @@ class DisparityOffset:
         turn = np.array([[c, -s], [s, c]])
         for row in np.flatnonzero(tracks.detection >= 0):
             which = tracks.detection[row]
-            point = found.points_vehicle_m[which]
+            point = sighting.points_vehicle_m[which]
             ray = point - self._origin_m
             away = float(np.hypot(*ray))
             # one pixel more makes the range shorter by range / disparity
-            step = turn @ (-ray / found.disparity_px[which])
+            step = turn @ (-ray * float(ray @ self._ahead) / self._focal_baseline)
             design = np.concatenate([np.eye(2), -step[:, None]], axis=1)
             placed = self._pose[:2] + turn @ point - step * self.value_px
-            weight = share * np.linalg.inv(turn @ found.covariance_m2[which] @ turn.T)
+            weight = share * np.linalg.inv(turn @ sighting.covariance_m2[which] @ turn.T)
             total = self._sums.setdefault(int(tracks.ids[row]), _Sum())
             total.information += design.T @ weight @ design
             total.weighted += design.T @ weight @ placed
             total.nearest_m = min(total.nearest_m, away)
             total.farthest_m = max(total.farthest_m, away)
             total.confirmed |= bool(tracks.confirmed[row])
-            total.seen_s = stamp_s
-        for identity in [k for k, t in self._sums.items() if stamp_s - t.seen_s > _OVER_S]:
+            total.seen_s = sighting.stamp_s
+        for identity in [k for k, t in self._sums.items() if sighting.stamp_s - t.seen_s > _OVER_S]:
             said = self._said(self._sums.pop(identity))
             if said is not None:
                 self._ended = _combined(self._ended, *said)

@@ -73,8 +73,13 @@ class PolePerception:
         """The poles of a stereo frame; see `look`."""
         return self.look(frame).scan
 
-    def push_scan(self, scan: PoleScan) -> PoleScan:
-        """Track poles that were detected elsewhere; the scan comes back with ids and existence."""
+    def push_scan(self, scan: PoleScan, *, raw_stereo: bool = False) -> PoleScan:
+        """Track poles that were detected elsewhere; the scan comes back with ids and existence.
+
+        Args:
+            raw_stereo: they are this camera's detections as `detect` gives them, so they share an
+                error of the disparities, which is learned and mended as in `see`.
+        """
         sighting = Sighting(
             scan.stamp_s,
             scan.points_vehicle_m,
@@ -84,6 +89,8 @@ class PolePerception:
             scan.existence,
             scan.view,
         )
+        if raw_stereo and self._offset is not None:
+            return self._track_stereo(sighting, scan.arrival_s, self._offset)[1]
         return self._track(sighting, scan.arrival_s)
 
     def look(self, frame: StereoFrame) -> Look:
@@ -108,15 +115,8 @@ class PolePerception:
             raise InputError("perception: a stereo frame came, but the drive has no camera")
         if self._classifier is None:
             self._classifier = read_classifier(self._config.detection.model)
-        before = self._stamp_s
         view = detect(
-            frame.left,
-            frame.right,
-            disparity,
-            self._rig,
-            self._classifier,
-            self._config.detection,
-            self._offset.value_px,
+            frame.left, frame.right, disparity, self._rig, self._classifier, self._config.detection
         )
         found = view.detections
         sighting = Sighting(
@@ -128,10 +128,20 @@ class PolePerception:
             found.probability,
             view.region,
         )
-        scan = self._track(sighting, frame.arrival_s)
-        elapsed = frame.stamp_s - before if before is not None else np.inf
-        self._offset.see(frame.stamp_s, found, self._tracker.tracks, elapsed)
+        mended, scan = self._track_stereo(sighting, frame.arrival_s, self._offset)
+        found = replace(found, points_vehicle_m=mended.points_vehicle_m)
+        view = replace(view, detections=found)
         return Look(frame, disparity, view, self._tracker.tracks, scan)
+
+    def _track_stereo(
+        self, raw: Sighting, arrival_s: float, offset: DisparityOffset
+    ) -> tuple[Sighting, PoleScan]:
+        """Track with what is known of the disparities' error, and learn more of it."""
+        elapsed_s = raw.stamp_s - self._stamp_s if self._stamp_s is not None else np.inf
+        mended = replace(raw, points_vehicle_m=offset.corrected(raw.points_vehicle_m))
+        scan = self._track(mended, arrival_s)
+        offset.see(mended, self._tracker.tracks, elapsed_s)
+        return mended, scan
 
     def _track(self, sighting: Sighting, arrival_s: float) -> PoleScan:
         """Predict to the sighting's stamp, update, and say what is known now."""
@@ -187,6 +197,7 @@ def scan_drive(
     progress: Callable[[int], None] | None = None,
     *,
     stereo: StereoConfig | None = None,
+    raw_stereo: bool = False,
 ) -> list[PoleScan]:
     """The scans of a whole drive, from its images or from the poles that lie beside it.
 
@@ -195,6 +206,7 @@ def scan_drive(
         config: settings of this room.
         progress: is called with 1 after every scan.
         stereo: settings of the matcher.
+        raw_stereo: the drive's scans are its camera's own detections, not tracked yet.
 
     Raises:
         InputError: the drive has neither images nor detected poles, or one cannot be read.
@@ -210,7 +222,7 @@ def scan_drive(
         if isinstance(sample, StereoFrame):
             scans.append(perception.push_frame(sample))
         else:
-            scans.append(perception.push_scan(sample))
+            scans.append(perception.push_scan(sample, raw_stereo=raw_stereo))
         if progress is not None:
             progress(1)
     return scans

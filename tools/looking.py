@@ -137,7 +137,10 @@ def tracked(
     """Every n-th raw scan, tracked as a drive of that frame rate would be."""
     moments = [perf_counter()]
     thinned = replace(drive, images=None, scans=tuple(raw[::every]))
-    scans = scan_drive(thinned, polemap, lambda _: moments.append(perf_counter()))
+    seen_here = drive.has_frames
+    scans = scan_drive(
+        thinned, polemap, lambda _: moments.append(perf_counter()), raw_stereo=seen_here
+    )
     tracking = dict(zip((s.stamp_s for s in scans), np.diff(moments).tolist(), strict=True))
     return Looked(tuple(scans), {**(spent_s or {}), "tracking": tracking})
 

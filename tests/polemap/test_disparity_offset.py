@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from polemap.config import TrackingConfig
-from polemap.detection import Detections
 from polemap.disparity_offset import DisparityOffset
-from polemap.tracking import Motion, Tracks
+from polemap.tracking import Motion, Sighting, Tracks
 from stereo.rig import Mounting, StereoRig
 
 RIG = StereoRig(768, 480, 823.5, 383.5, 239.5, 0.30, Mounting(1.9, 0.15, 1.3, 0.0, 0.0, 0.0))
@@ -35,22 +34,18 @@ def drive(
         seen = np.flatnonzero((rays[:, 0] > 4.0) & (rays[:, 0] < 25.0))
         rays, count = rays[seen], len(seen)
         raw = FOCAL_BASELINE / rays[:, 0] - missing_px + 0.1 * rng.standard_normal(count)
-        disparity = raw + offset.value_px
-        points = ORIGIN + rays * (FOCAL_BASELINE / disparity / rays[:, 0])[:, None]
+        points = offset.corrected(ORIGIN + rays * (FOCAL_BASELINE / raw / rays[:, 0])[:, None])
         away = rays[:, 0]
         covariance = np.zeros((count, 2, 2))
         covariance[:, 0, 0] = (0.3 * away**2 / FOCAL_BASELINE) ** 2 + 1e-3
         covariance[:, 1, 1] = 0.05**2
         none = np.zeros(count)
-        found = Detections(
-            none, none, none, none, none, disparity, points, covariance, none, none,
-            none.astype(bool), np.zeros((count, 1)), none,
-        )  # fmt: skip
+        sighting = Sighting(frame * DT_S, points, covariance, none, none, none, None)
         tracks = Tracks(
             seen.astype(np.int64), points, covariance, none, none, none, none,
             np.ones(count, np.int64), none, none, np.ones(count, bool), np.arange(count),
         )  # fmt: skip
-        offset.see(frame * DT_S, found, tracks, DT_S if frame else np.inf)
+        offset.see(sighting, tracks, DT_S if frame else np.inf)
     return offset
 
 
