@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -15,16 +16,16 @@ Floats = NDArray[np.float64]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
-class MapFault(BaseModel):
+class MapFault(BaseModel, ABC):
     """Changes the map of a drive's street, not the drive."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     share: Share = 0.2
 
+    @abstractmethod
     def age(self, pole_map: PoleMap, rng: np.random.Generator) -> PoleMap:
         """The map as it was made when the street looked otherwise."""
-        raise NotImplementedError
 
 
 class PolesAdded(MapFault):
