@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drivelog.samples import OdometrySample
 from localize.config import LocalizeConfig
+from localize.odometry_history import OdometryHistory
 from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -53,19 +54,31 @@ class OdometryCorrection:
         )
 
 
-@dataclass(slots=True)
-class _Stretch:
-    """What raw odometry adds up to since a pose of the filter."""
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """A pose of the filter, and what raw odometry had added up to at its stamp."""
 
     stamp_s: float
     pose: Floats
     variance_m2: float
     variance_rad2: float
-    time_s: float = 0.0
-    distance_m: float = 0.0
-    turn_rad: float = 0.0
-    chord_x_m: float = 0.0
-    chord_y_m: float = 0.0
+    reckoned: Floats
+    travelled_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """What raw odometry makes of the way between two poses of the filter.
+
+    Attributes:
+        distance_m: along the path, negative backward.
+        chord_m: between the ends.
+    """
+
+    time_s: float
+    distance_m: float
+    turn_rad: float
+    chord_m: float
 
 
 class OdometryCalibration:
@@ -88,8 +101,8 @@ class OdometryCalibration:
         self._scale: float = 0.0
         self._scale_var = config.speed_scale_sd**2
         self._still: deque[OdometrySample] = deque()
-        self._last_stamp_s: float | None = None
-        self._stretch: _Stretch | None = None
+        self._raw = OdometryHistory(config.odometry_gap_s)
+        self._start: _Start | None = None
 
     @property
     def correction(self) -> OdometryCorrection:
@@ -106,7 +119,9 @@ class OdometryCalibration:
         if self._standing():
             # no turn without motion; what is left of the offset must not turn a standing car
             speed = yaw_rate = 0.0
-        self._extend_stretch(sample)
+        if len(self._raw) and sample.stamp_s - self._raw.newest_s > self._config.odometry_gap_s:
+            self._start = None
+        self._raw.push(sample)
         return OdometrySample(sample.stamp_s, sample.arrival_s, speed, yaw_rate)
 
     def _watch_standstill(self, sample: OdometrySample) -> None:
@@ -143,27 +158,6 @@ class OdometryCalibration:
         keep = np.eye(3) - np.outer(gain, row)
         self._yaw_cov = keep @ self._yaw_cov @ keep.T + np.outer(gain, gain) * variance
 
-    def _extend_stretch(self, sample: OdometrySample) -> None:
-        """Add the raw sample to the stretch under way."""
-        last, stretch = self._last_stamp_s, self._stretch
-        if last is not None and sample.stamp_s <= last:
-            return  # late or doubled: the time up to the newest has been counted
-        self._last_stamp_s = sample.stamp_s
-        if last is None or stretch is None:
-            return
-        dt = sample.stamp_s - max(last, stretch.stamp_s)
-        if dt <= 0.0:
-            return
-        if dt > self._config.odometry_gap_s:
-            self._stretch = None
-            return
-        heading = stretch.turn_rad + 0.5 * sample.yaw_rate_radps * dt
-        stretch.time_s += dt
-        stretch.distance_m += sample.speed_mps * dt
-        stretch.turn_rad += sample.yaw_rate_radps * dt
-        stretch.chord_x_m += sample.speed_mps * dt * np.cos(heading)
-        stretch.chord_y_m += sample.speed_mps * dt * np.sin(heading)
-
     def learn(self, stamp_s: float, pose: Floats, covariance: Floats, trusted: bool) -> None:
         """Offer a rear-axle pose of the filter; a stretch ends at it when it is long enough.
 
@@ -173,44 +167,61 @@ class OdometryCalibration:
         if not self._config.learn_offsets:
             return
         if not trusted:
-            self._stretch = None
+            self._start = None
             return
-        variance_m2 = 0.5 * float(covariance[0, 0] + covariance[1, 1]) + 0.12**2
-        variance_rad2 = float(covariance[2, 2]) + 0.004**2
-        stretch = self._stretch
-        if stretch is not None:
-            # a late scan's pose is older than the odometry that came since; the part beyond it is
-            # shorter than a scan interval, and both ends of the stretch share it
-            long_enough = abs(stretch.distance_m) >= _STRETCH_M
-            if not long_enough and stretch.time_s < _STRETCH_LONGEST_S:
+        end = _Start(
+            stamp_s,
+            pose.copy(),
+            0.5 * float(covariance[0, 0] + covariance[1, 1]) + 0.12**2,
+            float(covariance[2, 2]) + 0.004**2,
+            # of the pose's own moment: odometry of the scan's delay is there already, and a car
+            # that changes its speed drives another way in the delay of either end
+            self._raw.dead_reckoning(stamp_s),
+            self._raw.travelled_m(stamp_s),
+        )
+        start = self._start
+        if start is not None:
+            long_enough = end.travelled_m - start.travelled_m >= _STRETCH_M
+            if not long_enough and stamp_s - start.stamp_s < _STRETCH_LONGEST_S:
                 return
             if long_enough:
-                self._use(stretch, pose, variance_m2, variance_rad2)
-        self._stretch = _Stretch(stamp_s, pose.copy(), variance_m2, variance_rad2)
+                self._use(start, end)
+        self._start = end
 
-    def _use(self, stretch: _Stretch, pose: Floats, var_m2: float, var_rad2: float) -> None:
+    def _use(self, start: _Start, end: _Start) -> None:
+        stretch = _between(start, end)
         self._yaw_cov = self._yaw_cov + self._yaw_prior * _WALK_PER_S * stretch.time_s
         self._scale_var += self._config.speed_scale_sd**2 * _WALK_PER_S * stretch.time_s
-        turned = float(wrap_angle(pose[2] - stretch.pose[2]))
+        turned = float(wrap_angle(end.pose[2] - start.pose[2]))
         error = float(wrap_angle(turned - stretch.turn_rad))
         row = np.array([-stretch.time_s, stretch.distance_m, stretch.turn_rad])
-        noise = stretch.variance_rad2 + var_rad2 + (0.05 * stretch.turn_rad) ** 2
+        noise = start.variance_rad2 + end.variance_rad2 + (0.05 * stretch.turn_rad) ** 2
         noise += 0.002**2 * stretch.time_s
         expected = float(row @ self._yaw)
         spread = float(row @ self._yaw_cov @ row) + noise
         if (error - expected) ** 2 < 16.0 * spread:
             self._update_yaw(row, error, noise)
         if abs(stretch.turn_rad) < _STRETCH_TURN_RAD:
-            self._use_distance(stretch, pose, var_m2)
+            # the length of the chord does not depend on the heading
+            way = float(np.hypot(*(end.pose[:2] - start.pose[:2])))
+            self._update_scale(way, stretch.chord_m, start.variance_m2 + end.variance_m2)
 
-    def _use_distance(self, stretch: _Stretch, pose: Floats, var_m2: float) -> None:
-        """The length of the chord, which does not depend on the heading."""
-        way = float(np.hypot(*(pose[:2] - stretch.pose[:2])))
-        chord = float(np.hypot(stretch.chord_x_m, stretch.chord_y_m))
-        noise = stretch.variance_m2 + var_m2 + (0.01 * chord) ** 2
-        innovation = way - (1.0 + self._scale) * chord
-        spread = chord**2 * self._scale_var + noise
+    def _update_scale(self, way_m: float, chord_m: float, variance_m2: float) -> None:
+        noise = variance_m2 + (0.01 * chord_m) ** 2
+        innovation = way_m - (1.0 + self._scale) * chord_m
+        spread = chord_m**2 * self._scale_var + noise
         if innovation**2 < 16.0 * spread:
-            gain = self._scale_var * chord / spread
+            gain = self._scale_var * chord_m / spread
             self._scale += float(gain * innovation)
-            self._scale_var *= float(1.0 - gain * chord)
+            self._scale_var *= float(1.0 - gain * chord_m)
+
+
+def _between(start: _Start, end: _Start) -> _Stretch:
+    moved = end.reckoned - start.reckoned
+    ahead = float(moved[:2] @ (np.cos(start.reckoned[2]), np.sin(start.reckoned[2])))
+    return _Stretch(
+        end.stamp_s - start.stamp_s,
+        float(np.copysign(end.travelled_m - start.travelled_m, ahead)),
+        float(moved[2]),
+        float(np.hypot(moved[0], moved[1])),
+    )

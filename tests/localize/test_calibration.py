@@ -117,3 +117,20 @@ def test_learning_can_be_switched_off() -> None:
     drive(calibration, np.random.default_rng(0), seconds=60.0, scale=1.1)
     sample = OdometrySample(61.0, 61.0, 8.0, 0.05)
     assert calibration.correct(sample) == sample
+
+
+def test_poses_of_late_scans_belong_to_their_own_moment() -> None:
+    """A car that speeds up and brakes; its scans come 0.2 s after their pictures were taken."""
+    calibration = OdometryCalibration(LocalizeConfig())
+    late = 10
+    way = [0.0]
+    for k in range(10_000):
+        t = 0.02 * k
+        speed = 6.0 + 5.0 * np.sin(t / 4.0)
+        calibration.correct(OdometrySample(t, t, speed, 0.0))
+        way.append(way[-1] + 0.02 * speed)
+        if k > late:
+            pose = np.array([way[k - late], 0.0, 0.0])
+            calibration.learn(t - 0.02 * late, pose, np.eye(3) * 1e-4, trusted=True)
+    # summed over a wrong 0.2 s, stretches of 20 m would be up to a metre too long or too short
+    assert calibration.correction.speed_scale == pytest.approx(0.0, abs=1e-3)
