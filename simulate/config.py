@@ -166,8 +166,13 @@ class LatencyConfig(_Section):
 class DetectorConfig(_Section):
     """A pole detector without pictures: misses, clutter, errors of stereo that stay alike.
 
-    The standard deviation of the range grows with its square; `correlated_share` of the variance
-    stays with a pole over the drive.
+    Attributes:
+        detected_share: of the poles in view, what a scan holds.
+        clutter_share: of what a scan holds, what is no pole of the map.
+        range_sd_per_m2: standard deviation of the range, times its square.
+        bearing_sd_rad: across the line of sight.
+        correlated_share: of the variance, what stays with a pole over the drive.
+        latency_s: from looking to the scan's arrival.
     """
 
     rate_hz: Positive = 22.0

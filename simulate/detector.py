@@ -3,34 +3,91 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivelog.samples import PoleScan
+from drivelog.samples import PoleScan, VisibleRegion
 from simulate.config import DetectorConfig
-from simulate.driver import Motion
-from simulate.point_world import PointScenario, PoleDetector
-from simulate.world import World
+
+Floats = NDArray[np.float64]
+
+_CAMERA_M = np.array([1.5, 0.0])  # in the vehicle frame
+_NEAREST_M = 3.0
+_WIDTH_SD_M = 0.05  # of what lasts, and again of every scan
+_LEAST_SD_M = 0.02  # along and across the line of sight, however near the pole
+_GHOST_WIDTHS_M = (0.05, 0.6)
+_EXISTENCE = 0.9
 
 
-def point_scans(
-    world: World, motion: Motion, config: DetectorConfig, rng: np.random.Generator
-) -> list[PoleScan]:
-    """What a detector reports of a world's poles along a drive; nothing hides them."""
-    poles = world.poles()
-    detector = PoleDetector(
-        np.array([[pole.x_m, pole.y_m] for pole in poles]).reshape(-1, 2),
-        np.array([pole.width_m for pole in poles]),
-        PointScenario(
-            scan_delay_s=config.latency_s,
-            half_view_rad=config.half_view_rad,
-            range_max_m=config.range_max_m,
-            p_detection=config.detected_share,
-            clutter_share=config.clutter_share,
-            range_sd_per_m2=config.range_sd_per_m2,
-            bearing_sd_rad=config.bearing_sd_rad,
-            correlated_share=config.correlated_share,
-        ),
-        rng,
+class PoleDetector:
+    """What a detector sees of poles, scan by scan, with its errors; part of each one's error lasts.
+
+    Args:
+        points: `(n, 2)` where they stand, in the frame of the poses, metres.
+        widths: `(n,)` metres.
+    """
+
+    def __init__(
+        self, points: Floats, widths: Floats, config: DetectorConfig, rng: np.random.Generator
+    ) -> None:
+        self._points, self._widths, self._config, self._rng = points, widths, config, rng
+        self._view = VisibleRegion(
+            _CAMERA_M,
+            -config.half_view_rad,
+            config.half_view_rad,
+            _NEAREST_M,
+            np.array([config.range_max_m]),
+        )
+        self._lasting = rng.standard_normal((len(points), 2))
+        self._lasting_width = _WIDTH_SD_M * rng.standard_normal(len(points))
+
+    def scan(self, stamp_s: float, pose: Floats) -> PoleScan:
+        """The scan from a rear-axle pose `(3,)`."""
+        config, view, rng = self._config, self._view, self._rng
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        local = (self._points - pose[:2]) @ np.array([[c, -s], [s, c]])
+        rows = np.flatnonzero(view.contains(local))
+        rows = rows[rng.random(len(rows)) < config.detected_share]
+        noise = np.sqrt(config.correlated_share) * self._lasting[rows] + np.sqrt(
+            1.0 - config.correlated_share
+        ) * rng.standard_normal((len(rows), 2))
+        seen, covariance = _measured(local[rows], noise, view, config)
+        width = self._widths[rows] + self._lasting_width[rows]
+        width = width + _WIDTH_SD_M * rng.standard_normal(len(rows))
+        false = rng.poisson(config.clutter_share / (1.0 - config.clutter_share) * max(len(rows), 1))
+        bearing = rng.uniform(view.bearing_min_rad, view.bearing_max_rad, false)
+        distance = np.sqrt(rng.uniform(_NEAREST_M**2, config.range_max_m**2, false))
+        ghosts = view.origin_vehicle_m + distance[:, None] * np.stack(
+            [np.cos(bearing), np.sin(bearing)], axis=1
+        )
+        _, ghost_covariance = _measured(ghosts, np.zeros((false, 2)), view, config)
+        count = len(rows) + false
+        return PoleScan(
+            stamp_s=stamp_s,
+            arrival_s=stamp_s + config.latency_s,
+            points_vehicle_m=np.vstack([seen, ghosts]),
+            covariance_m2=np.concatenate([covariance, ghost_covariance]),
+            width_m=np.concatenate([width, rng.uniform(*_GHOST_WIDTHS_M, false)]),
+            ids=np.full(count, -1, dtype=np.int64),
+            existence=np.full(count, _EXISTENCE),
+            view=view,
+        )
+
+
+def _measured(
+    local: Floats, noise: Floats, view: VisibleRegion, config: DetectorConfig
+) -> tuple[Floats, Floats]:
+    """Points `(n, 2)` with unit noise `(n, 2)` along and across the line of sight, and their
+    covariances `(n, 2, 2)`."""
+    ray = local - view.origin_vehicle_m
+    distance = np.hypot(*ray.T)
+    along = ray / distance[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    range_sd = np.maximum(config.range_sd_per_m2 * distance**2, _LEAST_SD_M)
+    cross_sd = np.maximum(config.bearing_sd_rad * distance, _LEAST_SD_M)
+    seen = local + along * (range_sd * noise[:, 0])[:, None]
+    seen = seen + across * (cross_sd * noise[:, 1])[:, None]
+    covariance = (
+        along[:, :, None] * along[:, None, :] * (range_sd**2)[:, None, None]
+        + across[:, :, None] * across[:, None, :] * (cross_sd**2)[:, None, None]
     )
-    stamps = np.arange(motion.stamp_s[0], motion.stamp_s[-1], 1.0 / config.rate_hz)
-    poses = motion.at(stamps)
-    return [detector.scan(float(t), pose) for t, pose in zip(stamps, poses, strict=True)]
+    return seen, covariance

@@ -25,7 +25,6 @@ from polemap.io import read_map, write_map
 from simulate import sensors
 from simulate.camera import expose, exposure_of, make_units
 from simulate.config import SimulateConfig
-from simulate.detector import point_scans
 from simulate.driver import Motion, drive_route
 from simulate.dynamics import CAR
 from simulate.faults import age_map, apply_faults
@@ -227,7 +226,9 @@ def simulate_drive(
     antenna = np.array([config.gnss.antenna_x_m, config.gnss.antenna_y_m])
     notes = [f"simulated: world {chosen.name}, seed {seed}, {laps} laps"]
     draws = np.random.default_rng([seed, 23])
-    seen = point_scans(world, plan.motion, config.detector, draws) if scans else []
+    seen = []
+    if scans:
+        seen = sensors.pole_scans(world.poles(), plan.motion, config.detector, draws)
     with folder_writer(
         Path(out), name=f"{chosen.name}_{seed}", frame=frame, wheelbase_m=CAR.wheelbase_m,
         rig=config.camera.rig() if images else None, gnss_antenna_m=antenna, notes=notes,

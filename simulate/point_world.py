@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivelog.frames import EarthFrame
-from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, VisibleRegion
+from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
 from polemap.landmark_map import PoleMap
+from simulate.config import DetectorConfig
+from simulate.detector import PoleDetector
 from vehicle.motion import move_along_arc
 from vehicle.pose import wrap_angle
 
@@ -35,12 +37,7 @@ class PointScenario:
         slip_rad: standard deviation of a slowly wandering angle between heading and motion, beside
             what the rear axle slips outward in bends.
         slip_rad_per_mps2, slip_sd_rad_per_mps2: that, per lateral acceleration; drawn once a drive.
-        scan_hz, half_view_rad, range_max_m: the detector.
-        p_detection: share of the poles in view that a scan holds.
-        clutter_share: share of what a scan holds that is no pole of the map.
-        range_sd_per_m2: standard deviation of the range, times its square: stereo.
-        bearing_sd_rad: across the line of sight.
-        correlated_share: share of the variance that stays while a pole is in view.
+        scan_hz ... correlated_share: the detector, see `detector`.
         map_sd_m: of the map's positions, in each axis.
         odometry_scale, odometry_bias_radps: what stays wrong over the whole drive.
         gnss_outage: first and last second without GNSS.
@@ -76,6 +73,20 @@ class PointScenario:
     standstill_s: float = 0.0
     kidnap_s: float = np.inf
     kidnap_m: float = 50.0
+
+    def detector(self) -> DetectorConfig:
+        """The part of it that says what is seen of poles."""
+        return DetectorConfig(
+            rate_hz=self.scan_hz,
+            latency_s=self.scan_delay_s,
+            half_view_rad=self.half_view_rad,
+            range_max_m=self.range_max_m,
+            detected_share=self.p_detection,
+            clutter_share=self.clutter_share,
+            range_sd_per_m2=self.range_sd_per_m2,
+            bearing_sd_rad=self.bearing_sd_rad,
+            correlated_share=self.correlated_share,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,83 +244,8 @@ def _scans(
     scenario: PointScenario,
     rng: np.random.Generator,
 ) -> Iterator[PoleScan]:
-    detector = PoleDetector(points, widths, scenario, rng)
+    detector = PoleDetector(points, widths, scenario.detector(), rng)
     for stamp in np.arange(0.5, stamps[-1], 1.0 / scenario.scan_hz):
         # the truth is known every 10 ms only: the scan is stamped with its instant
         row = np.argmin(np.abs(stamps - stamp))
         yield detector.scan(float(stamps[row]), truth[row])
-
-
-class PoleDetector:
-    """What a detector sees of poles at `points` `(n, 2)`, scan by scan, with its errors.
-
-    Part of each pole's error lasts over the drive (`correlated_share`).
-    """
-
-    def __init__(
-        self, points: Floats, widths: Floats, scenario: PointScenario, rng: np.random.Generator
-    ) -> None:
-        self._points, self._widths, self._scenario, self._rng = points, widths, scenario, rng
-        self._view = VisibleRegion(
-            np.array([1.5, 0.0]),
-            -scenario.half_view_rad,
-            scenario.half_view_rad,
-            3.0,
-            np.array([scenario.range_max_m]),
-        )
-        self._lasting = rng.standard_normal((len(points), 2))
-        self._lasting_width = 0.05 * rng.standard_normal(len(points))
-
-    def scan(self, stamp_s: float, pose: Floats) -> PoleScan:
-        """The scan from a rear-axle pose `(3,)`."""
-        scenario, view, rng = self._scenario, self._view, self._rng
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        local = (self._points - pose[:2]) @ np.array([[c, -s], [s, c]])
-        rows = np.flatnonzero(view.contains(local))
-        rows = rows[rng.random(len(rows)) < scenario.p_detection]
-        noise = np.sqrt(scenario.correlated_share) * self._lasting[rows] + np.sqrt(
-            1.0 - scenario.correlated_share
-        ) * rng.standard_normal((len(rows), 2))
-        seen, covariance = _measured(local[rows], noise, view, scenario)
-        width = self._widths[rows] + self._lasting_width[rows]
-        width = width + 0.05 * rng.standard_normal(len(rows))
-        false = rng.poisson(
-            scenario.clutter_share / (1.0 - scenario.clutter_share) * max(len(rows), 1)
-        )
-        bearing = rng.uniform(view.bearing_min_rad, view.bearing_max_rad, false)
-        distance = np.sqrt(rng.uniform(9.0, scenario.range_max_m**2, false))
-        ghosts = view.origin_vehicle_m + distance[:, None] * np.stack(
-            [np.cos(bearing), np.sin(bearing)], axis=1
-        )
-        _, ghost_covariance = _measured(ghosts, np.zeros((false, 2)), view, scenario)
-        count = len(rows) + false
-        return PoleScan(
-            stamp_s=stamp_s,
-            arrival_s=stamp_s + scenario.scan_delay_s,
-            points_vehicle_m=np.vstack([seen, ghosts]),
-            covariance_m2=np.concatenate([covariance, ghost_covariance]),
-            width_m=np.concatenate([width, rng.uniform(0.05, 0.6, false)]),
-            ids=np.full(count, -1, dtype=np.int64),
-            existence=np.full(count, 0.9),
-            view=view,
-        )
-
-
-def _measured(
-    local: Floats, noise: Floats, view: VisibleRegion, scenario: PointScenario
-) -> tuple[Floats, Floats]:
-    """Points `(n, 2)` with unit noise `(n, 2)` along and across the line of sight, and their
-    covariances `(n, 2, 2)`."""
-    ray = local - view.origin_vehicle_m
-    distance = np.hypot(*ray.T)
-    along = ray / distance[:, None]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    range_sd = np.maximum(scenario.range_sd_per_m2 * distance**2, 0.02)
-    cross_sd = np.maximum(scenario.bearing_sd_rad * distance, 0.02)
-    seen = local + along * (range_sd * noise[:, 0])[:, None]
-    seen = seen + across * (cross_sd * noise[:, 1])[:, None]
-    covariance = (
-        along[:, :, None] * along[:, None, :] * (range_sd**2)[:, None, None]
-        + across[:, :, None] * across[:, None, :] * (cross_sd**2)[:, None, None]
-    )
-    return seen, covariance

@@ -1,14 +1,25 @@
-"""Wheel odometry, yaw gyro, GNSS and reference systems, from the true motion with errors."""
+"""Odometry, GNSS, reference systems and pole detectors, from the true motion with errors."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivelog.samples import PoleScan
 from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
+from simulate.config import (
+    DetectorConfig,
+    GnssConfig,
+    LatencyConfig,
+    OdometryConfig,
+    ReferenceConfig,
+)
+from simulate.detector import PoleDetector
 from simulate.driver import Motion
 from simulate.skyline import Fronts, echoes
+from simulate.world import WorldObject
 from vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -144,3 +155,18 @@ def frame_times(
     late = np.minimum(late, stamps + config.camera_max_s + 0.05)
     kept = rng.uniform(size=len(stamps)) >= config.camera_drop_share
     return stamps[kept], np.maximum.accumulate(late)[kept]
+
+
+def pole_scans(
+    poles: Sequence[WorldObject], motion: Motion, config: DetectorConfig, rng: np.random.Generator
+) -> list[PoleScan]:
+    """What a detector reports of poles along a drive; nothing hides them."""
+    detector = PoleDetector(
+        np.array([[pole.x_m, pole.y_m] for pole in poles]).reshape(-1, 2),
+        np.array([pole.width_m for pole in poles]),
+        config,
+        rng,
+    )
+    stamps = np.arange(motion.stamp_s[0], motion.stamp_s[-1], 1.0 / config.rate_hz)
+    poses = motion.at(stamps)
+    return [detector.scan(float(t), pose) for t, pose in zip(stamps, poses, strict=True)]

@@ -17,8 +17,9 @@ from localize.estimate import PfEstimate
 from localize.localizer import Localizer
 from simulate.closed_loop.cars import PASSENGER_CAR, plant_of
 from simulate.closed_loop.road import Road, winding_road
+from simulate.detector import PoleDetector
 from simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState
-from simulate.point_world import PointScenario, PoleDetector
+from simulate.point_world import PointScenario
 from vehicle.control.path import PathError, StanleySettings, stanley_steer
 from vehicle.parameters import Car
 from vehicle.pose import Pose2D
@@ -162,7 +163,7 @@ class _Drive:
         self._localizer = Localizer(
             road.pole_map, config, car.wheelbase_m, particles, processing_delay_s=0.0
         )
-        self._detector = PoleDetector(road.poles_m, road.widths_m, world, seen)
+        self._detector = PoleDetector(road.poles_m, road.widths_m, world.detector(), seen)
         self._raw: PfEstimate | None = None
         self._waiting: deque[tuple[float, Floats]] = deque()
         self._past: deque[tuple[float, Pose2D]] = deque()
