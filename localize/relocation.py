@@ -100,7 +100,8 @@ class Relocation:
         enough, score = self._enough(gnss), float(own.score[0])
         found = len(candidates) > 0 and candidates.matched[0] >= enough
         if proven:
-            found = _stands_out(candidates, enough + 1)
+            # nearly the same pose is no other place: dead reckoning has bent the constellation
+            found = _stands_out(candidates, enough + 1) and not candidates.at(pose)[0]
         if found and candidates.score[0] >= score + _MARGIN:
             return "contradicted"
         rivals = candidates.score[~candidates.at(pose)]

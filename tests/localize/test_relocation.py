@@ -281,6 +281,16 @@ def test_a_proven_place_gives_way_to_one_place_only_and_not_easily() -> None:
     assert verdict(lone, just_enough, True) == "open"
 
 
+def test_a_proven_place_is_not_left_for_itself() -> None:
+    """Half a metre beside the pose more poles fit better: dead reckoning bends constellations."""
+    rng = np.random.default_rng(0)
+    pose = np.array([0.0, 0.0, 0.5])
+    seen = looked_around(street(rng, count=60, extent_m=100.0), pose)
+    beside = pose + np.array([0.5, 0.0, 0.0])
+    assert seen.verify(beside, 2.0, np.zeros(3), rng) == "contradicted"
+    assert seen.verify(beside, 2.0, np.zeros(3), rng, proven=True) != "contradicted"
+
+
 def test_two_places_alike_or_few_poles_leave_the_place_open() -> None:
     rng = np.random.default_rng(0)
     pose = np.array([0.0, 0.0, 0.5])
