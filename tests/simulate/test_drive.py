@@ -16,9 +16,10 @@ from polemap.io import read_map
 from simulate import drive as module
 from simulate.config import RenderConfig, SimulateConfig
 from simulate.drive import count_frames, simulate_drive
-from simulate.faults import DroppedFrames, GnssOffset
+from simulate.frame_faults import DroppedFrames
 from simulate.map_faults import PolesAdded
 from simulate.scenario import Scenario
+from simulate.stream_faults import GnssOffset
 from tools.cli import build_app
 from vehicle.pose import Pose2D
 

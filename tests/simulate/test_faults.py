@@ -14,8 +14,25 @@ from drivelog.drive import Drive, GnssStream, OdometryStream
 from drivelog.frames import EarthFrame
 from drivelog.samples import Image
 from polemap.landmark_map import PoleMap
-from simulate import faults, map_faults
+from simulate import map_faults, picture_faults
+from simulate.drive_fault import DriveFault
 from simulate.faults import Fault, age_map, apply_faults
+from simulate.frame_faults import (
+    BlurredFrames,
+    DirtyLens,
+    DroppedFrames,
+    FrozenFrames,
+    Miscalibration,
+    OverExposed,
+    SwappedCameras,
+)
+from simulate.stream_faults import (
+    ClockJump,
+    GnssDropout,
+    GnssOffset,
+    NotANumber,
+    OdometryDropout,
+)
 from stereo.rig import StereoRig
 
 RIG = StereoRig(80, 60, 90.0, 39.5, 29.5, 0.3)
@@ -50,7 +67,7 @@ def drive() -> Drive:
     )  # fmt: skip
 
 
-def one(drive: Drive, fault: faults._Fault) -> Drive:
+def one(drive: Drive, fault: DriveFault) -> Drive:
     return apply_faults(drive, [fault], 1)
 
 
@@ -60,16 +77,16 @@ def levels(drive: Drive) -> list[tuple[int, int]]:
 
 
 def test_dropped_frames_leave_the_others_alone(drive: Drive) -> None:
-    broken = one(drive, faults.DroppedFrames(from_s=2, until_s=4))
+    broken = one(drive, DroppedFrames(from_s=2, until_s=4))
     assert set(drive.frame_stamps_s) - set(broken.frame_stamps_s) == {2.0, 2.5, 3.0, 3.5}
     kept = [n for n, s in enumerate(drive.frame_stamps_s) if not 2 <= s < 4]
     assert levels(broken) == [levels(drive)[n] for n in kept]
-    half = one(drive, faults.DroppedFrames(share=0.5))
+    half = one(drive, DroppedFrames(share=0.5))
     assert 3 <= len(half.frame_stamps_s) <= 17
 
 
 def test_frozen_frames_repeat_the_last_good_one(drive: Drive) -> None:
-    broken = one(drive, faults.FrozenFrames(from_s=2, until_s=4))
+    broken = one(drive, FrozenFrames(from_s=2, until_s=4))
     assert np.array_equal(broken.frame_stamps_s, drive.frame_stamps_s)
     expected = levels(drive)
     expected[4:8] = [expected[3]] * 4
@@ -77,25 +94,25 @@ def test_frozen_frames_repeat_the_last_good_one(drive: Drive) -> None:
 
 
 def test_swapped_cameras(drive: Drive) -> None:
-    broken = one(drive, faults.SwappedCameras(from_s=1, until_s=2))
+    broken = one(drive, SwappedCameras(from_s=1, until_s=2))
     expected = [(b, a) if 2 <= n < 4 else (a, b) for n, (a, b) in enumerate(levels(drive))]
     assert levels(broken) == expected
 
 
 def test_over_exposure_whitens_within_its_time(drive: Drive) -> None:
-    broken = one(drive, faults.OverExposed(factor=20, from_s=5))
+    broken = one(drive, OverExposed(factor=20, from_s=5))
     assert (broken.read_frame(9).left == drive.read_frame(9).left).all()
     assert (broken.read_frame(10).left == 255).all()
     assert (broken.read_frame(10).right == 255).all()
 
 
 def test_blur_takes_contrast(drive: Drive) -> None:
-    broken = one(drive, faults.BlurredFrames(sigma_px=4))
+    broken = one(drive, BlurredFrames(sigma_px=4))
     assert broken.read_frame(0).left.std() < 0.5 * drive.read_frame(0).left.std()
 
 
 def test_dirt_stays_at_its_place_on_one_lens(drive: Drive) -> None:
-    broken = one(drive, faults.DirtyLens(camera="right", spots=4, radius_px=6))
+    broken = one(drive, DirtyLens(camera="right", spots=4, radius_px=6))
     changed = []
     for row in (0, 7):
         good, bad = drive.read_frame(row), broken.read_frame(row)
@@ -109,14 +126,14 @@ def test_dirt_stays_at_its_place_on_one_lens(drive: Drive) -> None:
 @pytest.mark.parametrize(
     ("fault", "shift"),
     [
-        (faults.Miscalibration(pitch_deg=0.5), (0.0, 1)),
-        (faults.Miscalibration(yaw_deg=0.5), (1, 0.0)),
+        (Miscalibration(pitch_deg=0.5), (0.0, 1)),
+        (Miscalibration(yaw_deg=0.5), (1, 0.0)),
     ],
 )
 def test_miscalibration_moves_the_right_picture(
-    drive: Drive, fault: faults.Miscalibration, shift: tuple[float, float]
+    drive: Drive, fault: Miscalibration, shift: tuple[float, float]
 ) -> None:
-    moved = faults.picture_faults.turning(RIG, fault.pitch_deg, fault.yaw_deg, 0.0)
+    moved = picture_faults.turning(RIG, fault.pitch_deg, fault.yaw_deg, 0.0)
     centre = moved @ [RIG.cx_px, RIG.cy_px, 1]
     centre = centre[:2] / centre[2] - [RIG.cx_px, RIG.cy_px]
     amount = RIG.focal_px * np.tan(np.deg2rad(0.5))
@@ -127,19 +144,19 @@ def test_miscalibration_moves_the_right_picture(
 
 
 def test_values_that_are_no_numbers(drive: Drive) -> None:
-    broken = one(drive, faults.NotANumber(share=0.3, from_s=5))
+    broken = one(drive, NotANumber(share=0.3, from_s=5))
     assert broken.odometry is not None
     bad = np.isnan(broken.odometry.speed_mps)
     assert not bad[:250].any()
     assert bad[250:].mean() == pytest.approx(0.3, abs=4 * np.sqrt(0.21 / 250))
-    fixes = one(drive, faults.NotANumber(stream="gnss", share=1.0)).gnss
+    fixes = one(drive, NotANumber(stream="gnss", share=1.0)).gnss
     assert fixes is not None
     assert np.isnan(fixes.east_m).all()
 
 
 @pytest.mark.parametrize("stream", ["frames", "odometry", "gnss"])
 def test_a_clock_jumps_and_comes_back(drive: Drive, stream: str) -> None:
-    fault = faults.ClockJump(stream=stream, by_s=1.0, from_s=4, until_s=6)  # type: ignore[arg-type]
+    fault = ClockJump(stream=stream, by_s=1.0, from_s=4, until_s=6)  # type: ignore[arg-type]
     broken = one(drive, fault)
 
     def stamps(d: Drive) -> NDArray[np.float64]:
@@ -151,13 +168,13 @@ def test_a_clock_jumps_and_comes_back(drive: Drive, stream: str) -> None:
 
 
 def test_dropouts_and_offsets(drive: Drive) -> None:
-    quiet = one(drive, faults.OdometryDropout(from_s=1, until_s=3)).odometry
+    quiet = one(drive, OdometryDropout(from_s=1, until_s=3)).odometry
     assert quiet is not None
     assert len(quiet) == 400
-    gone = one(drive, faults.GnssDropout(from_s=2)).gnss
+    gone = one(drive, GnssDropout(from_s=2)).gnss
     assert gone is not None
     assert len(gone) == 2
-    moved = one(drive, faults.GnssOffset(east_m=10, north_m=-2, from_s=5)).gnss
+    moved = one(drive, GnssOffset(east_m=10, north_m=-2, from_s=5)).gnss
     assert moved is not None
     assert list(moved.east_m) == [3.0] * 5 + [13.0] * 5
     assert list(moved.north_m) == [4.0] * 5 + [2.0] * 5
@@ -165,9 +182,9 @@ def test_dropouts_and_offsets(drive: Drive) -> None:
 
 def test_faults_add_up_in_order_and_repeat(drive: Drive) -> None:
     chain = [
-        faults.DroppedFrames(share=0.3),
-        faults.SwappedCameras(from_s=3),
-        faults.NotANumber(share=0.1),
+        DroppedFrames(share=0.3),
+        SwappedCameras(from_s=3),
+        NotANumber(share=0.1),
     ]
     first, again, other = (apply_faults(drive, chain, seed) for seed in (1, 1, 2))
     assert levels(first) == levels(again)
@@ -183,16 +200,16 @@ def test_faults_add_up_in_order_and_repeat(drive: Drive) -> None:
 def test_a_drive_without_the_sensor_stays_as_it_is(drive: Drive) -> None:
     bare = replace(drive, images=None, rig=None, odometry=None, gnss=None)
     every = [
-        faults.FrozenFrames(), faults.BlurredFrames(), faults.Miscalibration(yaw_deg=1),
-        faults.NotANumber(), faults.NotANumber(stream="gnss"), faults.ClockJump(),
-        faults.OdometryDropout(), faults.GnssDropout(), faults.GnssOffset(),
+        FrozenFrames(), BlurredFrames(), Miscalibration(yaw_deg=1),
+        NotANumber(), NotANumber(stream="gnss"), ClockJump(),
+        OdometryDropout(), GnssDropout(), GnssOffset(),
     ]  # fmt: skip
     assert apply_faults(bare, every, 0) == bare
 
 
 def test_unknown_faults_are_refused() -> None:
     adapter: TypeAdapter[Fault] = TypeAdapter(Fault)
-    assert adapter.validate_python({"kind": "gnss_offset"}) == faults.GnssOffset()
+    assert adapter.validate_python({"kind": "gnss_offset"}) == GnssOffset()
     with pytest.raises(ValidationError, match="union_tag_invalid"):
         adapter.validate_python({"kind": "flat_tyre"})
 

@@ -1,0 +1,162 @@
+"""Faults of the camera: pictures that are lost, repeated, swapped or spoilt.
+
+Images are spoilt as they are read, so that a faulty drive costs no copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from drivelog.drive import Drive, FrameSource
+from drivelog.samples import Image
+from simulate import picture_faults
+from simulate.drive_fault import DriveFault, Share
+
+Pair = tuple[Image, Image]
+PairFault = Callable[[Pair, int], Pair]
+
+
+@dataclass(frozen=True, slots=True)
+class SpoiltFrames:
+    """A frame source whose pairs pass through a fault; `rows` lead to the inner source."""
+
+    inner: FrameSource
+    rows: NDArray[np.int64]
+    hit: NDArray[np.bool_]
+    fault: PairFault
+
+    def load(self, row: int) -> Pair:
+        """The pair of a row, spoilt where the fault covers it."""
+        pair = self.inner.load(int(self.rows[row]))
+        return self.fault(pair, int(self.rows[row])) if self.hit[row] else pair
+
+    def keep(self, rows: NDArray[np.int64]) -> FrameSource:
+        """The same source with these rows only."""
+        return SpoiltFrames(self.inner, self.rows[rows], self.hit[rows], self.fault)
+
+
+def _spoil(drive: Drive, hit: NDArray[np.bool_], fault: PairFault) -> Drive:
+    if drive.images is None:
+        return drive
+    rows = np.arange(len(drive.frame_stamps_s))
+    return replace(drive, images=SpoiltFrames(drive.images, rows, hit, fault))
+
+
+class DroppedFrames(DriveFault):
+    """Pictures that never arrive."""
+
+    kind: Literal["dropped_frames"] = "dropped_frames"
+    share: Share = 1.0
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        lost = self.during(drive.frame_stamps_s) & (
+            rng.uniform(size=len(drive.frame_stamps_s)) < self.share
+        )
+        kept = np.flatnonzero(~lost)
+        return replace(
+            drive,
+            frame_stamps_s=drive.frame_stamps_s[kept],
+            frame_arrivals_s=drive.frame_arrivals_s[kept],
+            frame_numbers=drive.frame_numbers[kept],
+            images=drive.images.keep(kept) if drive.images else None,
+        )
+
+
+class FrozenFrames(DriveFault):
+    """The camera repeats its last picture, with new stamps."""
+
+    kind: Literal["frozen_frames"] = "frozen_frames"
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        hit = self.during(drive.frame_stamps_s)
+        if drive.images is None or not hit.any():
+            return drive
+        rows = np.arange(len(hit))
+        rows[hit] = max(0, int(np.flatnonzero(hit)[0]) - 1)
+        return replace(drive, images=drive.images.keep(rows))
+
+
+class SwappedCameras(DriveFault):
+    """Left is right and right is left."""
+
+    kind: Literal["swapped_cameras"] = "swapped_cameras"
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        return _spoil(drive, self.during(drive.frame_stamps_s), lambda pair, _: (pair[1], pair[0]))
+
+
+class OverExposed(DriveFault):
+    """Both pictures too bright by a factor; what is white stays white."""
+
+    kind: Literal["over_exposed"] = "over_exposed"
+    factor: Annotated[float, Field(gt=0)] = 4.0
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        factor = self.factor
+        return _spoil(
+            drive,
+            self.during(drive.frame_stamps_s),
+            lambda pair, _: picture_faults.each(pair, lambda i: picture_faults.brighten(i, factor)),
+        )
+
+
+class BlurredFrames(DriveFault):
+    """Pictures out of focus."""
+
+    kind: Literal["blurred_frames"] = "blurred_frames"
+    sigma_px: Annotated[float, Field(gt=0)] = 3.0
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        sigma = self.sigma_px
+        return _spoil(
+            drive,
+            self.during(drive.frame_stamps_s),
+            lambda pair, _: picture_faults.each(pair, lambda i: picture_faults.blur(i, sigma)),
+        )
+
+
+class DirtyLens(DriveFault):
+    """Drops and dirt on one lens, at the same place in every picture."""
+
+    kind: Literal["dirty_lens"] = "dirty_lens"
+    camera: Literal["left", "right"] = "left"
+    spots: int = Field(default=12, ge=1, le=500)
+    radius_px: Annotated[float, Field(gt=0)] = 22.0
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        seed = int(rng.integers(2**31))
+        side = 0 if self.camera == "left" else 1
+
+        def spoil(pair: Pair, _: int) -> Pair:
+            dirty = picture_faults.dirt(
+                pair[side], self.spots, self.radius_px, np.random.default_rng(seed)
+            )
+            return (dirty, pair[1]) if side == 0 else (pair[0], dirty)
+
+        return _spoil(drive, self.during(drive.frame_stamps_s), spoil)
+
+
+class Miscalibration(DriveFault):
+    """The right camera has turned since it was calibrated; degrees about its own axes."""
+
+    kind: Literal["miscalibration"] = "miscalibration"
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+    roll_deg: float = 0.0
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        rig = drive.rig
+        if rig is None:
+            return drive
+        warp = picture_faults.turning(rig, self.pitch_deg, self.yaw_deg, self.roll_deg)
+        return _spoil(
+            drive,
+            self.during(drive.frame_stamps_s),
+            lambda pair, _: (pair[0], picture_faults.warp(pair[1], warp)),
+        )
