@@ -24,11 +24,12 @@ from drivelog.writers.folder import FolderWriter, folder_writer, write_drive
 from polemap.io import read_map, write_map
 from simulate import sensors
 from simulate.camera import expose, exposure_of, make_units
+from simulate.camera_pose import camera_poses
 from simulate.config import SimulateConfig
 from simulate.driver import Motion, drive_route
 from simulate.dynamics import CAR
 from simulate.faults import age_map, apply_faults
-from simulate.render import Renderer, RenderOptions, View, camera_poses, rotation_from_angles
+from simulate.render import Renderer, RenderOptions, View
 from simulate.route import Route, make_route
 from simulate.scenario import Scenario, load_scenario
 from simulate.traffic import make_traffic, moving_mesh
@@ -40,6 +41,7 @@ from simulate.truth import (
     write_truth_pictures,
 )
 from simulate.world import World, make_world
+from stereo.rig import rotation_from_angles
 
 Floats = NDArray[np.float64]
 _FEW = 24

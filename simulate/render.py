@@ -12,26 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.camera_pose import CameraPose
 from simulate.lighting import make_lighting
-from simulate.mesh import Mesh, join
+from simulate.mesh import Mesh
+from simulate.picture_rays import cast_picture, picture_rays, rays_through
 from simulate.raycast import Caster, Hits
 from simulate.shading import Shaded, make_shader
 from simulate.textures import make_atlas
 from simulate.world import World
 from stereo.rig import StereoRig
 
-Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 _SHADOW_REACH_M = 14.0
 _EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)
-
-
-@dataclass(frozen=True, slots=True)
-class CameraPose:
-    """A camera in the world: rotation `(3, 3)` world from camera axes, position `(3,)` metres."""
-
-    rotation: Floats
-    position_m: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,84 +66,6 @@ class Renderer:
         movers = Caster(moving, self.options.threads)
         left, right = (self._view(pose, moving, movers) for pose in poses)
         return left, right
-
-    def _rays(self, pixels: Floats32, pose: CameraPose) -> Floats32:
-        rig, turn = self.rig, pose.rotation.astype(np.float32)
-        across = (pixels[:, 0] - np.float32(rig.cx_px)) * np.float32(1 / rig.focal_px)
-        down = (pixels[:, 1] - np.float32(rig.cy_px)) * np.float32(1 / rig.focal_px)
-        rays = np.empty((len(pixels), 6), dtype=np.float32)
-        rays[:, :3] = pose.position_m
-        # spelled out: a matrix product of this slim shape is ten times slower
-        for axis in range(3):
-            rays[:, 3 + axis] = across * turn[axis, 0] + down * turn[axis, 1] + turn[axis, 2]
-        return rays
-
-    def _all_rays(self, pose: CameraPose) -> Floats32:
-        """`_rays` of every pixel, as the sum of a part by column and a part by row."""
-        rig, turn = self.rig, pose.rotation.astype(np.float32)
-        across = (np.arange(rig.width_px, dtype=np.float32) - np.float32(rig.cx_px)) / rig.focal_px
-        down = (np.arange(rig.height_px, dtype=np.float32) - np.float32(rig.cy_px)) / rig.focal_px
-        rays = np.empty((rig.height_px, rig.width_px, 6), dtype=np.float32)
-        rays[..., :3] = pose.position_m
-        for axis in range(3):
-            column = (across * turn[axis, 0]).astype(np.float32)
-            row = (down * turn[axis, 1] + turn[axis, 2]).astype(np.float32)
-            np.add(row[:, None], column[None], out=rays[..., 3 + axis])
-        return rays.reshape(-1, 6)
-
-    def _cast_picture(self, rays: Floats32) -> Hits:
-        """Every second row is cast; between two hits on one triangle the third follows.
-
-        Along an image column inverse depth, and barycentric coordinates times it, are linear on a
-        plane, so the row between is their mean. Only things less than a row high can be missed.
-        """
-        height, width = self.rig.height_px, self.rig.width_px
-        rows = rays.reshape(height, width, 6)
-        even = self._static.cast(np.ascontiguousarray(rows[::2]).reshape(-1, 6))
-        odd_rows = height // 2
-        shape = (-1, width)
-        inverse = (1.0 / even.depth).reshape(shape)
-        triangle = even.triangle.reshape(shape)
-        bary = even.bary.reshape(-1, width, 2)
-        normal = even.normal.reshape(-1, width, 3)
-        below = np.minimum(np.arange(odd_rows) + 1, len(triangle) - 1)
-        same = (triangle[:odd_rows] == triangle[below]) & (
-            (inverse[:odd_rows] > 0) == (inverse[below] > 0)
-        )
-        same[below == np.arange(odd_rows)] = False
-        out = Hits(
-            np.empty(height * width, np.float32),
-            np.empty(height * width, np.uint32),
-            np.empty((height * width, 2), np.float32),
-            np.empty((height * width, 3), np.float32),
-        )
-        grids = (
-            out.depth.reshape(height, width),
-            out.triangle.reshape(height, width),
-            out.bary.reshape(height, width, 2),
-            out.normal.reshape(height, width, 3),
-        )
-        grids[0][::2], grids[1][::2] = even.depth.reshape(shape), triangle
-        grids[2][::2], grids[3][::2] = bary, normal
-        middle = 0.5 * (inverse[:odd_rows] + inverse[below])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = (1.0 / middle).astype(np.float32)
-            between = (
-                0.5
-                * (
-                    bary[:odd_rows] * inverse[:odd_rows, :, None]
-                    + bary[below] * inverse[below][..., None]
-                )
-                * depth[..., None]
-            )
-        grids[0][1::2], grids[1][1::2] = depth, triangle[:odd_rows]
-        grids[2][1::2], grids[3][1::2] = between, normal[:odd_rows]
-        ask = np.flatnonzero(~same.ravel())
-        found = self._static.cast(rows[1::2].reshape(-1, 6)[ask])
-        at = ask + (ask // width + 1) * width
-        out.depth[at], out.triangle[at] = found.depth, found.triangle
-        out.bary[at], out.normal[at] = found.bary, found.normal
-        return out
 
     def _trace(
         self,
@@ -224,8 +139,8 @@ class Renderer:
 
     def _view(self, pose: CameraPose, moving: Mesh, movers: Caster) -> View:
         shape = (self.rig.height_px, self.rig.width_px)
-        rays = self._all_rays(pose)
-        hits = self._cast_picture(rays)
+        rays = picture_rays(self.rig, pose)
+        hits = cast_picture(self._static, rays, self.rig)
         seen = self._trace(self._pixels, rays, hits, pose, moving, movers)
         light, depth = seen.light.reshape(shape), hits.depth.reshape(shape)
         owner = seen.owner.reshape(shape)
@@ -234,7 +149,7 @@ class Renderer:
             total = seen.light[rows]
             for shift in self._shifts:
                 pixels = self._pixels[rows] + shift
-                more = self._rays(pixels, pose)
+                more = rays_through(pixels, self.rig, pose)
                 total += self._trace(
                     pixels, more, self._static.cast(more), pose, moving, movers
                 ).light
@@ -262,44 +177,16 @@ def _edges(
     """Pixels beside a jump in inverse depth or between two objects; not inside foliage."""
     inverse = 1.0 / depth
     mark = np.zeros(depth.shape, dtype=np.bool_)
-    for one, other, limit in (
-        (np.s_[:, 1:], np.s_[:, :-1], 0.03),
-        (np.s_[1:], np.s_[:-1], 0.08),
+    for one, other, limit, by_owner in (
+        (np.s_[:, 1:], np.s_[:, :-1], 0.03, True),
+        # what lies flat comes nearer from row to row by itself
+        (np.s_[1:], np.s_[:-1], 0.08, False),
     ):
         a, b = inverse[one], inverse[other]
         jump = np.abs(a - b) > limit * np.maximum(a, b)
-        if limit < 0.05:
+        if by_owner:
             jump |= owner[one] != owner[other]
         jump &= ~(leafy[one] & leafy[other])
         mark[one] |= jump
         mark[other] |= jump
     return mark
-
-
-def camera_poses(
-    rig: StereoRig,
-    vehicle_position_m: Floats,
-    vehicle_rotation: Floats,
-    right_tilt: Floats | None = None,
-) -> tuple[CameraPose, CameraPose]:
-    """Both cameras of a vehicle; `right_tilt` `(3, 3)` turns the right camera out of true."""
-    mount = rig.vehicle_from_camera
-    rotation = vehicle_rotation @ mount.rotation()
-    origin = vehicle_position_m + vehicle_rotation @ np.array([mount.x_m, mount.y_m, mount.z_m])
-    beside = origin + rotation @ np.array([rig.baseline_m, 0.0, 0.0])
-    turned = rotation if right_tilt is None else rotation @ right_tilt
-    return CameraPose(rotation, origin), CameraPose(turned, beside)
-
-
-def rotation_from_angles(yaw_rad: float, pitch_rad: float, roll_rad: float) -> Floats:
-    """Rz(yaw) Ry(pitch) Rx(roll) `(3, 3)`; a positive pitch turns the nose down (ISO 8855)."""
-    cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
-    cp, sp = np.cos(pitch_rad), np.sin(pitch_rad)
-    cr, sr = np.cos(roll_rad), np.sin(roll_rad)
-    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1.0]])
-    ry = np.array([[cp, 0, sp], [0, 1.0, 0], [-sp, 0, cp]])
-    rx = np.array([[1.0, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    return np.asarray(rz @ ry @ rx)
-
-
-NOTHING = join([])

@@ -16,6 +16,17 @@ Floats = NDArray[np.float64]
 _AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
+def rotation_from_angles(yaw_rad: float, pitch_rad: float, roll_rad: float) -> Floats:
+    """Rz(yaw) Ry(pitch) Rx(roll) `(3, 3)`; a positive pitch turns the nose down (ISO 8855)."""
+    cy, sy = cos(yaw_rad), sin(yaw_rad)
+    cp, sp = cos(pitch_rad), sin(pitch_rad)
+    cr, sr = cos(roll_rad), sin(roll_rad)
+    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1.0]])
+    ry = np.array([[cp, 0, sp], [0, 1.0, 0], [-sp, 0, cp]])
+    rx = np.array([[1.0, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    return np.asarray(rz @ ry @ rx)
+
+
 @dataclass(frozen=True, slots=True)
 class Mounting:
     """Pose of the left camera in the vehicle frame (ISO 8855, origin below the rear axle).
@@ -32,13 +43,8 @@ class Mounting:
 
     def rotation(self) -> Floats:
         """`(3, 3)`, vehicle axes from camera axes."""
-        cr, sr = cos(self.roll_rad), sin(self.roll_rad)
-        cp, sp = cos(self.pitch_rad), sin(self.pitch_rad)
-        cy, sy = cos(self.yaw_rad), sin(self.yaw_rad)
-        rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1.0]])
-        ry = np.array([[cp, 0, sp], [0, 1.0, 0], [-sp, 0, cp]])
-        rx = np.array([[1.0, 0, 0], [0, cr, -sr], [0, sr, cr]])
-        return np.asarray(rz @ ry @ rx @ _AXES)
+        turn = rotation_from_angles(self.yaw_rad, self.pitch_rad, self.roll_rad)
+        return np.asarray(turn @ _AXES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,22 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
+from simulate.camera_pose import CameraPose, camera_poses
 from simulate.mesh import box, cylinder, join, quads
+from simulate.picture_rays import cast_picture, picture_rays, rays_through
 from simulate.raycast import Caster
-from simulate.render import (
-    NOTHING,
-    CameraPose,
-    Renderer,
-    RenderOptions,
-    camera_poses,
-    rotation_from_angles,
-)
+from simulate.render import Renderer, RenderOptions
 from simulate.shading import SKY_OWNER
 from simulate.textures import TILES
 from simulate.world import World
-from stereo.rig import Mounting, StereoRig
+from stereo.rig import Mounting, StereoRig, rotation_from_angles
 
 RIG = StereoRig(161, 121, 150.0, 80.0, 60.0, 0.4, Mounting(1.5, 0.2, 1.4))
+NOTHING = join([])
 
 
 def plain(world: World) -> World:
@@ -104,13 +100,23 @@ def test_left_and_right_agree_where_both_see(
     assert np.abs(other[v, near] - disparity[v, u])[same].max() < 0.05
 
 
+def test_rays_of_the_picture_go_through_its_pixels() -> None:
+    pose, _ = camera_poses(RIG, np.array([1.0, 2.0, 0.0]), rotation_from_angles(0.7, 0.02, 0.03))
+    u, v = np.meshgrid(np.arange(RIG.width_px), np.arange(RIG.height_px))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32)
+    through = rays_through(pixels, RIG, pose)
+    assert np.allclose(picture_rays(RIG, pose), through, atol=1e-6)
+    seen = (through[:, 3:] @ pose.rotation) * RIG.focal_px
+    assert np.allclose(seen[:, :2] + [RIG.cx_px, RIG.cy_px], pixels, atol=1e-3)
+
+
 def test_skipping_rows_equals_casting_them_all(world: World) -> None:
-    renderer = Renderer(world, RIG, RenderOptions(shadows=False, edge_rays=0))
     start = world.route.at(np.array(5.0), -1.65)
     turn = rotation_from_angles(float(start[2]), 0.02, 0.03)
     pose, _ = camera_poses(RIG, np.array([start[0], start[1], 0.0]), turn)
-    rays = renderer._rays(renderer._pixels, pose)
-    fast, slow = renderer._cast_picture(rays), renderer._static.cast(rays)
+    rays = picture_rays(RIG, pose)
+    caster = Caster(world.mesh)
+    fast, slow = cast_picture(caster, rays, RIG), caster.cast(rays)
     same = fast.triangle == slow.triangle
     # leaves and leaf gaps below a pixel may differ
     assert same.mean() > 0.985

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import simulate.render as render
+from simulate.camera_pose import camera_poses
 from simulate.mesh import box
-from simulate.render import Renderer, RenderOptions, View, camera_poses, rotation_from_angles
+from simulate.render import Renderer, RenderOptions, View
 from simulate.scenario import LightSpec
 from simulate.shading import make_shader
 from simulate.textures import TILES
 from simulate.world import World
-from stereo.rig import Mounting, StereoRig
+from stereo.rig import Mounting, StereoRig, rotation_from_angles
 
 RIG = StereoRig(200, 120, 160.0, 99.5, 59.5, 0.4, Mounting(1.5, 0.2, 1.4))
 
