@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.patterns import TILE_PX, fractal
 from simulate.raycast import Caster
-from simulate.textures import TILE_PX, fractal, read_picture
+from simulate.textures import read_picture
 from simulate.world import World
 
 Floats32 = NDArray[np.float32]

@@ -12,8 +12,8 @@ from math import cos, radians, sin
 
 import numpy as np
 
+from simulate.materials import TILES
 from simulate.mesh import Mesh, box, cylinder, join, panel, quads
-from simulate.textures import TILES
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.lighting import Lighting
+from simulate.materials import TILES
 from simulate.mesh import Mesh
 from simulate.raycast import Hits
-from simulate.textures import TILES, Atlas
+from simulate.textures import Atlas
 
 Floats32 = NDArray[np.float32]
 Box = tuple[float, float, float, float]

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from simulate.camera_pose import CameraPose, camera_poses
+from simulate.materials import TILES
 from simulate.mesh import box, cylinder, join, quads
 from simulate.picture_rays import cast_picture, picture_rays, rays_through
 from simulate.raycast import Caster
 from simulate.render import Renderer, RenderOptions
 from simulate.shading import SKY_OWNER
-from simulate.textures import TILES
 from simulate.world import World
 from stereo.rig import Mounting, StereoRig, rotation_from_angles
 

@@ -9,11 +9,11 @@ import pytest
 
 import simulate.render as render
 from simulate.camera_pose import camera_poses
+from simulate.materials import TILES
 from simulate.mesh import box
 from simulate.render import Renderer, RenderOptions, View
 from simulate.scenario import LightSpec
 from simulate.shading import make_shader
-from simulate.textures import TILES
 from simulate.world import World
 from stereo.rig import Mounting, StereoRig, rotation_from_angles
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simulate.textures import LEVELS, TILE_PX, TILES, Atlas, dead_leaves, fractal, make_atlas
+from simulate.materials import TILES
+from simulate.patterns import TILE_PX, dead_leaves, fractal
+from simulate.textures import LEVELS, Atlas, make_atlas
 
 
 @pytest.fixture(scope="module")
