@@ -7,7 +7,7 @@ from vehicle.config import EstimatorConfig
 from vehicle.estimators.base import CAMERA, GPS, Estimator
 from vehicle.estimators.registry import ESTIMATORS, make_estimator
 from vehicle.parameters import Car
-from vehicle.studies.papers import GPS_NOISE, MISMATCH
+from vehicle.studies.settings import GPS_NOISE, MISMATCH
 
 LATE = (CAMERA, GPS)
 TRUTH, NONE = "true state", "no control"

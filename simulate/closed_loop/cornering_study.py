@@ -19,7 +19,7 @@ from simulate.closed_loop.sensing import Measured, SensorModel
 from vehicle.control.lateral_stability import LateralLimits
 from vehicle.estimators.base import GPS, Estimate
 from vehicle.parameters import Car
-from vehicle.studies.papers import GPS_STIFFNESS_NPRAD, KMH
+from vehicle.studies.settings import GPS_STIFFNESS_NPRAD, KMH
 from vehicle.studies.study import Curve, Line, Panel, Report, Study, curves_of
 
 NAME = "N13-cornering"

@@ -17,7 +17,7 @@ from vehicle.control.body_slip import PiGains, feed_forward_gain, place_pi
 from vehicle.estimators.base import CAMERA, GPS
 from vehicle.parameters import Car
 from vehicle.single_track import lateral
-from vehicle.studies.papers import KMH
+from vehicle.studies.settings import KMH
 from vehicle.studies.study import Line, Panel, Report, Study, curves_of
 
 NAME = "W14-lane-change"

@@ -20,7 +20,7 @@ from vehicle.control.body_slip import place_pi
 from vehicle.estimators.base import CAMERA
 from vehicle.parameters import Car
 from vehicle.single_track import lateral
-from vehicle.studies.papers import KMH
+from vehicle.studies.settings import KMH
 from vehicle.studies.study import Curve, Line, Panel, Report, Study
 
 NAME = "W14-margins"

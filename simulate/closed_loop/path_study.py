@@ -15,7 +15,7 @@ from simulate.closed_loop.path_following import (
     follow_path,
 )
 from vehicle.parameters import Car
-from vehicle.studies.papers import KMH
+from vehicle.studies.settings import KMH
 from vehicle.studies.study import Line, Panel, Report, Study, curves_of
 
 NAME = "path-following"

@@ -3,93 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vehicle.config import EstimatorConfig
-from vehicle.estimators.base import Estimator
 from vehicle.estimators.registry import make_estimator
 from vehicle.parameters import Car
 from vehicle.signals import SignalLog, play
 from vehicle.studies.convergence import frame_radii, update_jumps
+from vehicle.studies.outcomes import EVERY, SETTLED_S, outcome, sideslip_curves
 from vehicle.studies.scenes import Scene, Simulated, drive_with_camera, drive_with_gps
-from vehicle.studies.study import Curve, Line, Report, Study
-
-Floats = NDArray[np.float64]
-SETTLED_S, EVERY = 1.5, 5
-KMH = 1.0 / 3.6
-PATTERN_S = (0.020, 0.015, 0.010, 0.025)
-
-# The papers print no process noise and no steering; these are ours and serve all studies.
-MISMATCH = EstimatorConfig(sideslip_walk_rad=0.02, yaw_rate_walk_radps=0.2)
-MATCHED = EstimatorConfig(sideslip_walk_rad=0.0316, yaw_rate_walk_radps=0.316)
-GPS_NOISE = EstimatorConfig(
-    sideslip_walk_rad=0.005,
-    yaw_rate_walk_radps=0.05,
-    course_sd_rad=0.003,
-    acceleration_walk_mps=0.02,
-    # roll in the accelerometer follows the steering, so its disturbance forgets as fast
-    acceleration_disturbance_time_s=2.0,
+from vehicle.studies.settings import (
+    ACCELERATION_BIAS_MPS2,
+    GPS_NOISE,
+    GPS_STIFFNESS_NPRAD,
+    KMH,
+    MATCHED,
+    MISMATCH,
+    PATTERN_S,
+    ROLL_RAD_PER_MPS2,
 )
-GPS_STIFFNESS_NPRAD = (7000.0, 10000.0)
-ROLL_RAD_PER_MPS2, ACCELERATION_BIAS_MPS2 = 0.007, 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """Errors of one estimator over all seeds."""
-
-    rmse_rad: float
-    sd_rad: float
-    nees: float
-    spread_rad: float
-
-
-def outcome(
-    name: str,
-    car: Car,
-    config: EstimatorConfig,
-    drives: list[Simulated],
-    *,
-    with_nees: bool = False,
-) -> Outcome:
-    """Side-slip RMSE over all drives, mean stated variance (as a root) and mean NEES per state."""
-    errors, variances, nees = [], [], []
-    for drive in drives:
-        skip = round(SETTLED_S / config.step_s)
-
-        def weigh(
-            row: int, estimator: Estimator, drive: Simulated = drive, skip: int = skip
-        ) -> None:
-            if with_nees and row >= skip and row % 50 == 0:
-                error = estimator.estimate().mean[:4] - drive.truth[row]
-                nees.append(error @ np.linalg.solve(estimator.covariance(), error) / 4.0)
-
-        played = play(make_estimator(name, car, config), drive.log, every=EVERY, observe=weigh)
-        late = slice(skip // EVERY, None)
-        truth = drive.truth[::EVERY, 0]
-        errors.append((played.column("sideslip_rad") - truth)[late])
-        variances.append(np.mean(played.sd_of("sideslip_rad")[late] ** 2))
-    each = np.sqrt(np.mean(np.square(errors), axis=1))
-    return Outcome(
-        float(np.sqrt(np.mean(np.square(errors)))),
-        float(np.sqrt(np.mean(variances))),
-        float(np.mean(nees)) if nees else float("nan"),
-        float(np.std(each, ddof=1)) if len(each) > 1 else 0.0,
-    )
-
-
-def _curves(
-    names: dict[str, str], car: Car, config: EstimatorConfig, drive: Simulated
-) -> tuple[Curve, ...]:
-    stamps = drive.log.stamp_s[::EVERY]
-    curves = [Curve("truth", stamps, drive.truth[::EVERY, 0])]
-    for name, label in names.items():
-        played = play(make_estimator(name, car, config), drive.log, every=EVERY)
-        curves.append(Curve(label, stamps, played.column("sideslip_rad")))
-    return tuple(curves)
+from vehicle.studies.study import Curve, Line, Report, Study
 
 
 def _drives(plant: Car, scene: Scene, config: EstimatorConfig, seeds: int) -> list[Simulated]:
@@ -121,7 +56,7 @@ def w12(car: Car, seeds: int = 10, report: Report = lambda _n: None) -> Study:
         "Compare ratios: the paper prints neither noise nor steering amplitude.",
         "Multi-rate and single-rate are close here; the paper's gap between them is not forced.",
     )
-    curves = _curves(names, car, MISMATCH, drives[0])
+    curves = sideslip_curves(names, car, MISMATCH, drives[0])
     return Study(
         "W12", "Side-slip with a camera, model far off", tuple(lines), curves, remarks, figures
     )
@@ -180,7 +115,7 @@ def w14(car: Car, seeds: int = 10, report: Report = lambda _n: None) -> Study:
         "clones": "multi-rate, exact",
         "compensated": "compensated",
     }
-    curves = _curves(names, car, MISMATCH, drives[0])
+    curves = sideslip_curves(names, car, MISMATCH, drives[0])
     return Study("W14", "Inter-sample compensation", tuple(lines), curves, remarks, figures)
 
 
@@ -230,7 +165,7 @@ def w13(car: Car, seeds: int = 20, report: Report = lambda _n: None) -> Study:
                 "uneven_delay": "W13 corrected",
                 "multi_rate": "33 ms assumed",
             }
-            curves = _curves(names, car, MATCHED, drives[0])
+            curves = sideslip_curves(names, car, MATCHED, drives[0])
     remarks = (
         "Printed W13 stores the a-priori state; with a delay of one frame it diverges.",
         "Judged with matched noise: plant and filters share model and noise.",
@@ -289,7 +224,7 @@ def n13(
         "two_layer": "layer 1, exact delay",
         "two_layer_reconstructed": "layer 1, reconstruction",
     }
-    curves = _curves(names, model, GPS_NOISE, drives[0])
+    curves = sideslip_curves(names, model, GPS_NOISE, drives[0])
     return Study("N13", "GPS in two layers", tuple(lines), curves, remarks, figures)
 
 

@@ -21,8 +21,9 @@ from vehicle.estimators.registry import ESTIMATORS, make_estimator
 from vehicle.estimators.vision import SEEN
 from vehicle.io import load_car
 from vehicle.signals import play
-from vehicle.studies.papers import MATCHED, PATTERN_S, outcome
+from vehicle.studies.outcomes import outcome
 from vehicle.studies.scenes import Scene, drive_with_camera, drive_with_gps
+from vehicle.studies.settings import MATCHED, PATTERN_S
 
 COMS, SPEED = load_car("coms"), 25 / 3.6
 
@@ -220,7 +221,7 @@ def test_gps_layers_beat_what_they_should() -> None:
 
 
 def test_two_layer_outlives_a_lost_gps() -> None:
-    from vehicle.studies.papers import GPS_NOISE
+    from vehicle.studies.settings import GPS_NOISE
 
     scene = Scene(29 / 3.6, 8.0, 0.06, 0.2, (0.1,), 0.2, model_noise=False)
     drive = drive_with_gps(COMS, scene, GPS_NOISE, np.random.default_rng(2))
@@ -238,7 +239,7 @@ def test_two_layer_outlives_a_lost_gps() -> None:
 
 def test_two_layer_starts_from_any_course_with_several_fixes_on_their_way() -> None:
     """The first course sets the heading; the captures already taken must follow it."""
-    from vehicle.studies.papers import GPS_NOISE
+    from vehicle.studies.settings import GPS_NOISE
 
     config = GPS_NOISE.model_copy(update={"gps_slots": 3})
     scene = Scene(29 / 3.6, 3.0, 0.02, 0.2, (0.24,), 0.1, model_noise=False)

@@ -9,8 +9,10 @@ from vehicle.estimators.registry import make_estimator
 from vehicle.io import load_car
 from vehicle.signals import play
 from vehicle.studies.convergence import frame_radii, update_jumps
-from vehicle.studies.papers import MISMATCH, STUDIES, outcome
+from vehicle.studies.outcomes import outcome
+from vehicle.studies.papers import STUDIES
 from vehicle.studies.scenes import Scene, drive_with_camera
+from vehicle.studies.settings import MISMATCH
 
 COMS, SPEED = load_car("coms"), 25 / 3.6
 
