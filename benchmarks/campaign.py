@@ -10,7 +10,9 @@ import json
 import sys
 from pathlib import Path
 
-from benchmarks import output_filter, particle_filter_recovery
+from benchmarks import particle_filter_recovery
+from benchmarks.output_filter import show
+from benchmarks.output_filter_faults import faults
 
 RESULTS = Path(__file__).parent / "campaign.json"
 
@@ -18,13 +20,11 @@ RESULTS = Path(__file__).parent / "campaign.json"
 def main(seeds: int) -> None:
     """Run all cases with `seeds` seeds each."""
     tables = {
-        "output filter, with GNSS": output_filter.faults(seeds),
-        "output filter, without GNSS": output_filter.faults(seeds, with_gnss=False),
+        "output filter, with GNSS": faults(seeds),
+        "output filter, without GNSS": faults(seeds, with_gnss=False),
     }
     for title, table in tables.items():
-        print(f"\n{title}")
-        for fault, row in table.items():
-            print(f"  {fault:32} " + ", ".join(f"{k} {v:.3g}" for k, v in row.items()))
+        show(title, table)
     part = RESULTS.with_suffix(".part")
     part.write_text(json.dumps({"seeds": seeds, **tables}, indent=1))
     part.replace(RESULTS)

@@ -1,14 +1,13 @@
-"""The output filter: time per event, what latency costs, consistency, and what faults do.
+"""The output filter: time per event, what latency costs, and consistency.
 
 `run()` times it (for `python -m benchmarks`); `python -m benchmarks.output_filter` also prints the
-tables of docs/output_filter.md.
+figures of docs/output_filter.md but those of faults (`benchmarks.output_filter_faults`).
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,9 +16,6 @@ from numpy.typing import NDArray
 
 from localize.config import LocalizeConfig
 from localize.ctrv_kernel import unpack
-from localize.estimate import PfEstimate
-from localize.health import HealthRecord
-from localize.localizer import Localizer
 from localize.metrics import nees, pose_errors
 from localize.output_config import OutputConfig
 from localize.output_filter import OutputFilter
@@ -37,7 +33,7 @@ def run() -> dict[str, dict[str, float]]:
     for seed in range(3):
         drive = point_drive(np.random.default_rng(seed), duration_s=20.0)
         output, tick = OutputFilter(OutputConfig()), 0
-        for arrival, kind, sample in _events(drive):
+        for arrival, kind, sample in events_of(drive):
             while tick / 100 < arrival:
                 if output.started:
                     begin = time.perf_counter()
@@ -68,7 +64,7 @@ def latency(seeds: int = 20) -> dict[str, dict[str, float]]:
     for seed in range(seeds):
         for name, late in (("no latency", 1e-6), ("110 ms late", 0.11), ("delay ignored", 0.11)):
             drive = point_drive(np.random.default_rng(seed), duration_s=25.0, latency_s=late)
-            events = _events(drive)
+            events = events_of(drive)
             if name == "delay ignored":
                 events = [(a, k, replace(s, stamp_s=a) if k else s) for a, k, s in events]
             error, _ = _track(drive, events, OutputConfig(pose_errors="independent"))
@@ -103,7 +99,7 @@ def matched(seeds: int = 50) -> dict[str, dict[str, float]]:
             drive = point_drive(
                 np.random.default_rng(seed), duration_s=15.0, speed_mps=15.0, densities=drawn
             )
-            _, values = _track(drive, _events(drive), config, after_s=3.0)
+            _, values = _track(drive, events_of(drive), config, after_s=3.0)
             rows[name].append(float(values.mean() / 3))
     return {
         name: {"mean": float(np.mean(values)), "sd": float(np.std(values, ddof=1))}
@@ -166,185 +162,8 @@ def _independent_nees(updates: Any, street: Any, config: LocalizeConfig) -> floa
     return float(values.mean() / 3)
 
 
-# faults: each changes the events of a drive, (arrival, kind, sample), from this moment on
-_FROM_S = 10.0
-
-
-def _wrong_for(
-    seconds: float, turned_rad: float = math.pi / 2
-) -> Callable[[PointDrive, list[Event]], list[Event]]:
-    def fault(_drive: PointDrive, events: list[Event]) -> list[Event]:
-        changed = []
-        for arrival, kind, sample in events:
-            if kind == 1 and _FROM_S <= sample.stamp_s < _FROM_S + seconds:
-                # 10 m beside the truth and turned, as sure of itself as ever
-                yaw = sample.pose[2]
-                aside = [-10.0 * math.sin(yaw), 10.0 * math.cos(yaw), turned_rad]
-                sample = replace(sample, pose=sample.pose + np.array(aside))
-            changed.append((arrival, kind, sample))
-        return changed
-
-    return fault
-
-
-def _gap(kind_of: int, seconds: float) -> Callable[[PointDrive, list[Event]], list[Event]]:
-    def fault(_drive: PointDrive, events: list[Event]) -> list[Event]:
-        return [
-            event
-            for event in events
-            if not (event[1] == kind_of and _FROM_S <= event[2].stamp_s < _FROM_S + seconds)
-        ]
-
-    return fault
-
-
-def _burst(_drive: PointDrive, events: list[Event]) -> list[Event]:
-    """Poses of two seconds arrive at once."""
-    changed = [
-        (_FROM_S + 2.0 if kind == 1 and 0.0 <= arrival - _FROM_S < 2.0 else arrival, kind, sample)
-        for arrival, kind, sample in events
-    ]
-    return sorted(changed, key=lambda event: event[:2])
-
-
-def _clock(kind_of: int, step: float) -> Callable[[PointDrive, list[Event]], list[Event]]:
-    """The stamps of one sensor jump; its samples arrive as before."""
-
-    def fault(_drive: PointDrive, events: list[Event]) -> list[Event]:
-        return [
-            (arrival, kind, replace(s, stamp_s=s.stamp_s + step))
-            if kind == kind_of and arrival >= _FROM_S
-            else (arrival, kind, s)
-            for arrival, kind, s in events
-        ]
-
-    return fault
-
-
-FAULTS: dict[str, Callable[[PointDrive, list[Event]], list[Event]]] = {
-    "none": lambda _drive, events: events,
-    "wrong pose 10 m / 90 deg, 1 s": _wrong_for(1.0),
-    "wrong pose 10 m / 90 deg, 10 s": _wrong_for(10.0),
-    "wrong pose 10 m, moving alike, 10 s": _wrong_for(10.0, 0.0),
-    "no poses for 5 s": _gap(1, 5.0),
-    "no odometry for 1 s": _gap(0, 1.0),
-    "2 s of poses at once": _burst,
-    "odometry clock +1 s": _clock(0, 1.0),
-    "odometry clock -1 s": _clock(0, -1.0),
-    "pose clock +1 s": _clock(1, 1.0),
-    "pose clock -1 s": _clock(1, -1.0),
-}
-
-
-def faults(
-    seeds: int = 20, *, with_gnss: bool = True, only: str = ""
-) -> dict[str, dict[str, float]]:
-    """Each fault from second 10 on, through the whole localizer but for its particle filter.
-
-    `recover_s` is the time after the fault's end (or begin, for a lasting one) until the error
-    stays below 0.3 m; `jump_m` the largest step of a tick that the motion does not explain,
-    outside flagged re-initializations.
-    """
-    table = {}
-    for name, fault in FAULTS.items():
-        if only not in name:
-            continue
-        rows = [_one_fault(seed, fault, name, with_gnss=with_gnss) for seed in range(seeds)]
-        values = np.array([row[:5] for row in rows])
-        table[name] = {
-            "error_max_m": float(values[:, 0].max()),
-            "error_max_median_m": float(np.median(values[:, 0])),
-            "recover_s_max": float(values[:, 1].max()),
-            "recover_s_median": float(np.median(values[:, 1])),
-            "jump_m_max": float(values[:, 2].max()),
-            "flagged_jump_m_max": float(values[:, 3].max()),
-            "reinitialized": float((values[:, 4] > 0).sum()),
-        }
-    return table
-
-
-_LASTS_S = {"10 s": 10.0, "1 s": 1.0, "5 s": 5.0, "once": 2.0}
-
-
-def _one_fault(
-    seed: int,
-    fault: Callable[[PointDrive, list[Event]], list[Event]],
-    name: str,
-    *,
-    with_gnss: bool,
-) -> tuple[float, ...]:
-    drive = point_drive(np.random.default_rng(seed), duration_s=28.0)
-    events = _events(drive)
-    if with_gnss:
-        events += [(fix.arrival_s, 2, fix) for fix in drive.gnss]
-        events.sort(key=lambda event: event[:2])
-    stamps, poses, motion, flags, reinitialized = _localize(drive, fault(drive, events))
-    true = drive.truth(stamps)
-    error = np.hypot(*(poses[:, :2] - true[:, :2]).T)
-    after = stamps >= _FROM_S
-    lasting = name.startswith(("none", "odometry clock", "pose clock"))
-    end = _FROM_S
-    if not lasting:
-        end += next(lasts for key, lasts in _LASTS_S.items() if name.endswith(f" {key}"))
-    bad = stamps[after & (error > 0.3)]
-    recover = max(0.0, float(bad.max()) - end) if len(bad) else 0.0
-    plain = ~flags[1:]
-    jump = _unexplained(stamps, poses, motion)
-    flagged = jump[~plain & (stamps[1:] > 5.0)]
-    return (
-        float(error[after].max()),
-        recover,
-        float(jump[plain & (stamps[1:] > 5.0)].max()),
-        float(flagged.max()) if len(flagged) else 0.0,
-        float(reinitialized),
-    )
-
-
-def _unexplained(stamps: Floats, poses: Floats, motion: Floats) -> Floats:
-    """How far each output is from where speed and yaw rate lead the one before."""
-    dt = np.diff(stamps)
-    heading = poses[:-1, 2] + 0.5 * motion[1:, 1] * dt
-    way = motion[1:, 0] * dt
-    expected = poses[:-1, :2] + np.stack([way * np.cos(heading), way * np.sin(heading)], axis=1)
-    return np.asarray(np.hypot(*(poses[1:, :2] - expected).T))
-
-
-def _localize(
-    drive: PointDrive, events: list[Event]
-) -> tuple[Floats, Floats, Floats, NDArray[np.bool_], int]:
-    """Through `Localizer`, clocks and all; poses are offered as healthy at their arrival."""
-    config = LocalizeConfig()
-    localizer = Localizer(None, config, 2.7, np.random.default_rng(0))
-    stamps, poses, motion, flags, tick = [], [], [], [], 0
-    for arrival, kind, sample in events:
-        while tick / 100 < arrival:
-            answer = localizer.pose(tick / 100)
-            tick += 1
-            if answer is not None:
-                stamps.append(answer.stamp_s)
-                poses.append(answer.pose)
-                motion.append((answer.speed_mps, answer.yaw_rate_radps))
-                flags.append(bool(answer.flag))
-        if kind == 1:
-            localizer.push_estimate(_estimate(sample, arrival))
-        else:
-            localizer.push(replace(sample, arrival_s=arrival))
-    count = localizer.summary().get("reinitializations", 0)
-    return np.array(stamps), np.array(poses), np.array(motion), np.array(flags), count
-
-
-def _estimate(pose: PointPose, arrival_s: float) -> PfEstimate:
-    sd = float(math.sqrt(max(pose.covariance[0, 0], pose.covariance[1, 1])))
-    health = HealthRecord(
-        stamp_s=pose.stamp_s, matched=4, seen=4, in_view=4, n_eff=500.0, position_sd_major_m=sd,
-        position_sd_minor_m=sd, exploration_ratio=0.0, lag_s=arrival_s - pose.stamp_s,
-        particles=1000, match_share=1.0, modes=1, mode_share=1.0, evidence_share=1.0,
-        yaw_rate_offset_radps=0.0, speed_scale=0.0,
-    )  # fmt: skip
-    return PfEstimate(pose.stamp_s, arrival_s, pose.pose, pose.covariance, True, 1, health, None)
-
-
-def _events(drive: PointDrive) -> list[Event]:
+def events_of(drive: PointDrive) -> list[Event]:
+    """Odometry (kind 0) and poses (kind 1) by arrival: `(arrival, kind, sample)`."""
     events: list[Event] = [(o.arrival_s, 0, o) for o in drive.odometry]
     events += [(pose.arrival_s, 1, pose) for pose in drive.poses]
     return sorted(events, key=lambda event: event[:2])
@@ -384,7 +203,8 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _print(title: str, table: dict[str, dict[str, float]]) -> None:
+def show(title: str, table: dict[str, dict[str, float]]) -> None:
+    """Print a table, a line a row."""
     print(f"\n{title}")
     for name, row in table.items():
         figures = ", ".join(f"{key} {value:.4g}" for key, value in row.items())
@@ -392,9 +212,7 @@ def _print(title: str, table: dict[str, dict[str, float]]) -> None:
 
 
 if __name__ == "__main__":
-    _print("time", run())
-    _print("latency, 20 seeds", latency())
-    _print("faults, 20 seeds, with GNSS", faults())
-    _print("wrong poses, 20 seeds, without GNSS", faults(with_gnss=False, only="wrong"))
-    _print("NEES per degree of freedom, matched noise, 50 seeds", matched())
-    _print("NEES per degree of freedom behind the particle filter, 50 seeds", consistency())
+    show("time", run())
+    show("latency, 20 seeds", latency())
+    show("NEES per degree of freedom, matched noise, 50 seeds", matched())
+    show("NEES per degree of freedom behind the particle filter, 50 seeds", consistency())
