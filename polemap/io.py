@@ -158,7 +158,10 @@ def _read_layer(path: Path, layer: str, frame: EarthFrame | None) -> PoleMap:
     table = pyogrio.read_dataframe(path, layer=layer)
     if not isinstance(table, geopandas.GeoDataFrame) or (table.geom_type != "Point").any():
         raise InputError(f"{path}: layer '{layer}' does not hold points only")
-    own = EarthFrame.from_dict(json.loads(ours)["frame"]) if ours else None
+    try:
+        own = EarthFrame.from_dict(json.loads(ours)["frame"]) if ours else None
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: the frame in its metadata cannot be read ({error})") from error
     if own is None and table.crs is not None:
         if table.crs.is_geographic and len(table):
             table = table.to_crs(frame.epsg if frame and frame.epsg else table.estimate_utm_crs())

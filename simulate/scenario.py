@@ -222,7 +222,10 @@ def load_scenario(name_or_file: str | Path) -> Scenario:
                 f"scenario {text_name!r} is neither a file nor one of the worlds "
                 f"{', '.join(scenario_names())}"
             )
-        text = path.read_text(encoding="utf-8")
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"scenario {text_name}: cannot be read ({error})") from error
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:

@@ -10,7 +10,6 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 import typer
-import yaml
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -18,6 +17,7 @@ from drivelog.atomic import atomic_file
 from drivelog.errors import ConfigError, InputError
 from tools.comma2k19 import is_comma2k19, read_comma2k19
 from tools.progress import progress
+from tools.settings import first_problem, parse_item, read_tree
 from tools.signal_log import gps_from_truth, read_signal_log
 from vehicle.config import EstimatorConfig
 from vehicle.estimators.base import GPS
@@ -163,24 +163,12 @@ def load_estimator_config(
     """
     tree: dict[str, object] = {"step_s": round(float(np.median(np.diff(signals.stamp_s))), 6)}
     if config_file is not None:
-        try:
-            loaded = yaml.safe_load(config_file.read_text("utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise ConfigError(f"{config_file}: cannot be read ({error})") from error
-        if not isinstance(loaded, dict):
-            raise ConfigError(f"{config_file}: holds no `setting: value` lines")
-        tree.update(loaded)
-    for item in set_values or []:
-        key, equals, value = item.partition("=")
-        if not equals:
-            raise ConfigError(f"--set {item}: expected key=value, such as gyro_sd_radps=0.01")
-        tree[key] = yaml.safe_load(value)
+        tree.update(read_tree(config_file))
+    tree.update(parse_item(item, "gyro_sd_radps=0.01") for item in set_values or [])
     try:
         return EstimatorConfig.model_validate(tree)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"setting {name}: {first['msg']}") from error
+        raise ConfigError(f"settings: {first_problem(error, EstimatorConfig)}") from error
 
 
 def at_reference(name: str, played: Played, signals: SignalLog, car: Car) -> Floats:

@@ -42,20 +42,23 @@ def load_settings(config_file: Path | None = None, set_values: list[str] | None 
     Raises:
         ConfigError: the file cannot be read, a key is unknown or a value out of its range.
     """
-    tree = _read_tree(config_file) if config_file is not None else {}
+    tree = read_tree(config_file) if config_file is not None else {}
     for item in set_values or []:
-        key, equals, value = item.partition("=")
-        if not equals:
-            raise ConfigError(f"--set {item}: expected key=value, such as localize.particles=500")
-        _put(tree, key.strip(), _parse(item, value))
+        key, value = parse_item(item, "localize.particles=500")
+        _put(tree, key, value)
     place = f"settings ({config_file})" if config_file else "settings"
     try:
         return Settings.model_validate(tree)
     except ValidationError as error:
-        raise ConfigError(f"{place}: {_first_problem(error)}") from error
+        raise ConfigError(f"{place}: {first_problem(error, Settings)}") from error
 
 
-def _read_tree(path: Path) -> dict[str, Any]:
+def read_tree(path: Path) -> dict[str, Any]:
+    """The keys of a `--config` file; none if it is empty.
+
+    Raises:
+        ConfigError: it cannot be read or holds no keys.
+    """
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
@@ -65,13 +68,21 @@ def _read_tree(path: Path) -> dict[str, Any]:
     if tree is None:
         return {}
     if not isinstance(tree, dict):
-        raise ConfigError(f"{path}: expected sections such as 'localize:', found a {type(tree)}")
+        raise ConfigError(f"{path}: expected lines `key: value`, found a {type(tree).__name__}")
     return tree
 
 
-def _parse(item: str, value: str) -> Any:
+def parse_item(item: str, example: str) -> tuple[str, Any]:
+    """Key and value of a `--set`.
+
+    Raises:
+        ConfigError: not `key=value`, or the value is not YAML.
+    """
+    key, equals, value = item.partition("=")
+    if not equals:
+        raise ConfigError(f"--set {item}: expected key=value, such as {example}")
     try:
-        return yaml.safe_load(value)
+        return key.strip(), yaml.safe_load(value)
     except yaml.YAMLError as error:
         raise ConfigError(f"--set {item}: the value is not YAML") from error
 
@@ -85,12 +96,12 @@ def _put(tree: dict[str, Any], key: str, value: Any) -> None:
     tree[leaf] = value
 
 
-def _first_problem(error: ValidationError) -> str:
+def first_problem(error: ValidationError, settings: type[BaseModel]) -> str:
     """One line for the first of the problems, with the known keys where one is unknown."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        model: Any = Settings
+        model: Any = settings
         for part in first["loc"][:-1]:
             model = model.model_fields[str(part)].annotation
         return f"unknown key '{key}'; known here: {', '.join(model.model_fields)}"

@@ -96,6 +96,17 @@ def test_a_gis_reads_layer_system_and_fields(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.geometry.x, pole_map.points_m[:, 0])
 
 
+@pytest.mark.parametrize("metadata", ["{", "[]", "{}"])
+def test_metadata_that_name_no_frame_are_named(tmp_path: Path, metadata: str) -> None:
+    path = tmp_path / "m.gpkg"
+    write_map(make_map(), path)
+    table = pyogrio.read_dataframe(path, layer="poles")
+    broken = tmp_path / "b.gpkg"
+    pyogrio.write_dataframe(table, broken, layer="poles", layer_metadata={"polemap": metadata})
+    with pytest.raises(InputError, match=r"b.gpkg: the frame in its metadata cannot be read"):
+        read_map(broken)
+
+
 def test_geojson_is_wgs84_with_the_grid_beside_it(tmp_path: Path) -> None:
     pole_map = make_map()
     write_map(pole_map, tmp_path / "m.geojson")

@@ -112,3 +112,10 @@ def test_removing_a_pole_moves_no_other(street: Scenario, world: World) -> None:
 def test_the_light_can_be_changed(street: Scenario) -> None:
     assert street.lit("dusk").light.sun == 0
     assert street.lit("scenario") == street
+
+
+def test_a_file_that_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match=r"mine.yaml: cannot be read"):
+        load_scenario(path)

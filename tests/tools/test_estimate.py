@@ -82,7 +82,12 @@ def test_identify_finds_the_plant_and_writes_a_car(
     [
         (("--estimator", "oracle"), "choose one of"),
         (("--estimator", "two_layer"), "two_layer needs gps"),
-        (("--estimator", "bicycle", "--set", "gyro_sd=1"), "setting gyro_sd"),
+        (
+            ("--estimator", "bicycle", "--set", "gyro_sd=1"),
+            "unknown key 'gyro_sd'; known here: step_s",
+        ),
+        (("--estimator", "bicycle", "--set", "gyro_sd_radps=[1"), "the value is not YAML"),
+        (("--estimator", "bicycle", "--set", "gyro_sd_radps"), "expected key=value"),
         (("--estimator", "bicycle", "--set", "gyro_sd_radps=-1"), "greater than 0"),
         (("--estimator", "bicycle", "--span", "9:7"), "two stamps"),
         (("--estimator", "bicycle", "--span", "90:95"), "the log runs from"),
