@@ -41,11 +41,11 @@ class LocalizeConfig(BaseModel):
     alpha4_rotation_rad: float = Field(0.003, ge=0)
     alpha5_slip_m_per_sqrt_m: float = Field(0.015, ge=0)
     learn_noise: bool = True
-    noise_scale_start: float = Field(0.6, gt=0)
+    noise_scale_start: float = Field(0.8, gt=0)
     noise_prior_windows: float = Field(2.0, gt=0)
     noise_memory_windows: float = Field(30.0, gt=1)
     noise_window: float = Field(8.0, gt=0)
-    noise_scale_min: float = Field(0.4, gt=0, le=1)
+    noise_scale_min: float = Field(0.2, gt=0, le=1)
     noise_scale_max: float = Field(4.0, ge=1)
     arc_s: float = Field(0.06, gt=0, le=1)
     odometry_gap_s: float = Field(0.5, gt=0)
