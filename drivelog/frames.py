@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Proj, Transformer
+from pyproj.exceptions import CRSError
 
 from drivelog.errors import FrameError, InputError
 
@@ -84,7 +85,7 @@ def _is_utm(epsg: int) -> bool:
         return True
     try:
         return CRS.from_epsg(epsg).utm_zone is not None
-    except Exception:
+    except CRSError:
         return False
 
 
