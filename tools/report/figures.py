@@ -23,6 +23,7 @@ from tools.report.style import (
     Picture,
     drawing,
     finish,
+    legend_above,
     shade_runs,
     thin,
     tidy,
@@ -66,7 +67,7 @@ def map_picture(result: RouteResult, key: str) -> Picture | None:
                 axes.plot(line[:, 0], line[:, 1], color=colour_of(one), lw=0.9, label=label)
         tidy(axes, "east [m]", "north [m]")
         axes.ticklabel_format(useOffset=False, style="plain")
-        axes.legend(loc="best", fontsize=8)
+        legend_above(axes)
         return finish(
             figure, key, "Map and trajectories", "All laps of the first run, and the map's poles."
         )
@@ -94,7 +95,7 @@ def close_up(result: RouteResult, key: str) -> Picture | None:
             axes.plot(station, 100 * pf.example[0].lateral_m[row, part], ".", ms=3, color=colour)
             axes.plot(station, 100 * kf.example[0].lateral_m[row, part], color=colour, label=name)
         tidy(axes, "station [m]", "to the left of the mean path [cm]")
-        axes.legend(fontsize=8, ncols=3, loc="upper left")
+        legend_above(axes)
         return finish(
             figure,
             key,
@@ -125,7 +126,7 @@ def lateral_along_route(result: RouteResult, key: str) -> Picture | None:
             tidy(axes, "", "[cm]", f"{one.system.name}: {100 * one.sd_m:.1f} cm")
         all_axes[-1].set_xlabel("station [m]")
         if len(stretch.passes) <= 10:
-            all_axes[0].legend(fontsize=7, ncols=6, loc="upper right")
+            legend_above(all_axes[0], 6)
         place = "" if len(result.stretches) == 1 else " Longest of the roads driven repeatedly."
         return finish(
             figure,

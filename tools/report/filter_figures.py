@@ -20,6 +20,7 @@ from tools.report.style import (
     Picture,
     drawing,
     finish,
+    legend_above,
     plain_log,
     thin,
     tidy,
@@ -55,7 +56,7 @@ def errors_over_time(result: RouteResult, key: str) -> Picture | None:
             limit = _robust_limit([scale * getattr(one.errors[0], kind) for one in (pf, kf)])
             axes.set_ylim(-limit, limit)
             tidy(axes, "", label)
-        all_axes[0].legend(fontsize=8, ncols=3, loc="upper right")
+        legend_above(all_axes[0])
         all_axes[-1].set_xlabel("time [s]")
         return finish(
             figure,
@@ -187,7 +188,7 @@ def poles_along_route(result: RouteResult, key: str) -> Picture | None:
                 axes.plot(distance, mean, color=colour, label=name, drawstyle="steps-mid")
         axes.set_ylim(bottom=0.0)
         tidy(axes, "distance driven [m]", "poles per update")
-        axes.legend(fontsize=8, ncols=3)
+        legend_above(axes)
         return finish(
             figure, key, "Pole observations along the route", "Means over 10 m, first run."
         )
@@ -209,7 +210,7 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
         upper.set_yscale("log")
         upper.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         upper.yaxis.set_minor_formatter(NullFormatter())
-        upper.legend(fontsize=8, ncols=2)
+        legend_above(upper)
         tidy(upper, "", "sd [m]")
         lower.plot(
             bound.distance_m, bound.poles_in_view, color=COLOURS["pole"], drawstyle="steps-mid"
@@ -245,7 +246,7 @@ def timing_picture(result: RouteResult, key: str) -> Picture | None:
                 axes.hist(good, bins.tolist(), histtype="step", color=colour, label=label)
             plain_log(axes)
             tidy(axes, "time of an update [ms]", "updates")
-            axes.legend(fontsize=8)
+            legend_above(axes)
             return finish(figure, key, "Processing time", "All runs.")
     stages = [
         (n, f) for n, f in runs[0].metrics.get("timing_ms", {}).items() if isinstance(f, dict)

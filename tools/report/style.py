@@ -107,6 +107,14 @@ def drawing(width_in: float, height_in: float) -> Iterator[Figure]:
         yield Figure(figsize=(width_in, height_in), layout="constrained")
 
 
+def legend_above(axes: Axes, columns: int = 5) -> None:
+    """The legend of the axes above the whole figure, where it covers no curve."""
+    figure = axes.get_figure(root=True)
+    if figure is not None:
+        handles, _ = axes.get_legend_handles_labels()
+        figure.legend(handles=handles, loc="outside upper right", ncols=columns, fontsize=8)
+
+
 def finish(figure: Figure, key: str, title: str, caption: str) -> Picture:
     """Render a figure of `drawing`; the same data give the same bytes."""
     with mpl.rc_context({**_RC, "svg.hashsalt": key}):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from tools.report.style import COLOURS, INK, Picture, drawing, finish, tidy
+from tools.report.style import COLOURS, INK, Picture, drawing, finish, legend_above, tidy
 from tools.report.sweeps import SweptRoute, SweptValue
 from tools.report.tables import Table, number, with_spread
 from tools.report.write import SweepOutput
@@ -111,7 +111,7 @@ def _picture(one: SweptRoute, key: str) -> Picture:
                 marker="s", mfc="none", ms=4, capsize=3, label=label,
             )  # fmt: skip
         upper.set_ylim(bottom=0.0)
-        upper.legend(fontsize=8)
+        legend_above(upper)
         tidy(upper, "", "lateral sd or rms [cm]", one.result.route.name)
         counts = [v.total("reinitializations") for v in values]
         for place, runs in zip(x, counts, strict=True):
