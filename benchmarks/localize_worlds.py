@@ -1,12 +1,12 @@
 """The particle filter behind the camera: simulated routes at 22 pairs a second, many seeds.
 
-    python -m benchmarks.localize_worlds [SEEDS] [ROUTE ...]
+    python -m benchmarks.localize_worlds [SEEDS] [ROUTE[:WORLD] ...]
 
-The routes are those of `report_routes`. Every fourth frame of lap 1 makes the map; lap 2 is
-localized in it, once with all frames and 1000 particles, once with every second frame and 300. All
-is judged against the simulator's truth from `SETTLED_S` after the first pose on. Frames are
-rendered and seen once, the seeds differ in the filter. Not timed, so `python -m benchmarks` leaves
-it out.
+The routes are those of `report_routes`, WORLD is the seed of houses, trees, camera and sensors (0).
+Every fourth frame of lap 1 makes the map; lap 2 is localized in it, once with all frames and 1000
+particles, once with every second frame and 300. All is judged against the simulator's truth from
+`SETTLED_S` after the first pose on. Frames are rendered and seen once, the seeds differ in the
+filter. Not timed, so `python -m benchmarks` leaves it out.
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ Floats = NDArray[np.float64]
 RATE_HZ = 22.0
 MAP_EVERY = 4
 SETTLED_S = 5.0
-SEED = 0
 CASES: dict[str, tuple[int, dict[str, int]]] = {
     "22 Hz, 1000 particles": (1, {}),
     "11 Hz, 300 particles": (2, {"particles": 300}),
@@ -65,17 +64,17 @@ def scenario_of(route: str) -> Scenario:
     return Scenario.model_validate(tree)
 
 
-def plan_of(route: str) -> tuple[World, Plan]:
+def plan_of(route: str, seed: int) -> tuple[World, Plan]:
     """World and drive of two laps."""
     scenario, config = scenario_of(route), SimulateConfig()
-    world = make_world(scenario.lit(config.light), SEED)
-    return world, make_plan(world.route, world.scenario, 2, SEED, config)
+    world = make_world(scenario.lit(config.light), seed)
+    return world, make_plan(world.route, world.scenario, 2, seed, config)
 
 
-def _open_studio(route: str) -> None:
+def _open_studio(route: str, seed: int) -> None:
     global _studio
     cv2.setNumThreads(1)
-    world, plan = plan_of(route)
+    world, plan = plan_of(route, seed)
     studio = Studio(plan, world, 1)
     _studio = studio, make_matcher(StereoConfig(threads=1), studio.renderer.rig)
 
@@ -87,9 +86,9 @@ def _take(number: int) -> tuple[Image, Image, DisparityPair]:
     return shot.left, shot.right, matcher.match(shot.left, shot.right)
 
 
-def see(route: str, drive: Drive, lap: int, every: int) -> list[PoleScan]:
+def see(route: str, seed: int, drive: Drive, lap: int, every: int) -> list[PoleScan]:
     """The scans of a lap, from every n-th frame."""
-    _, plan = plan_of(route)
+    _, plan = plan_of(route, seed)
     span = drive.laps[lap]
     numbers = [
         n for n, s in enumerate(plan.frame_stamps_s) if span.start_s <= s < span.end_s
@@ -101,7 +100,7 @@ def see(route: str, drive: Drive, lap: int, every: int) -> list[PoleScan]:
     )
     row = int(np.searchsorted(odometry.stamp_s, span.start_s - 1.0))
     scans = []
-    with ProcessPoolExecutor(2, get_context("spawn"), _open_studio, (route,)) as pool:
+    with ProcessPoolExecutor(2, get_context("spawn"), _open_studio, (route, seed)) as pool:
         for number, (left, right, disparity) in zip(
             numbers, pool.map(_take, numbers, chunksize=2), strict=True
         ):
@@ -163,16 +162,18 @@ def _errors(track: Trajectory, table: NDArray[np.void]) -> tuple[float, ...]:
     )
 
 
-def rows_of(route: str, seeds: int) -> Iterator[str]:
+def rows_of(place: str, seeds: int) -> Iterator[str]:
     """A line a case: mean, spread and worst over the seeds."""
+    route, _, digits = place.partition(":")
+    seed = int(digits or 0)
     with TemporaryDirectory() as name:
         folder = Path(name) / route
         simulate_drive(
-            scenario_of(route), folder, 2, SEED, SimulateConfig(), objects=True, images=False
+            scenario_of(route), folder, 2, seed, SimulateConfig(), objects=True, images=False
         )
         drive = open_drive(folder)
-        pole_map = map_of(drive, see(route, drive, 0, MAP_EVERY))
-        scans = see(route, drive, 1, 1)
+        pole_map = map_of(drive, see(route, seed, drive, 0, MAP_EVERY))
+        scans = see(route, seed, drive, 1, 1)
         for case, (every, changes) in CASES.items():
             with ProcessPoolExecutor(2, get_context("spawn")) as pool:
                 runs = pool.map(
@@ -183,7 +184,7 @@ def rows_of(route: str, seeds: int) -> Iterator[str]:
             figures = zip(
                 COLUMNS, table.mean(axis=0), table.std(axis=0), table.max(axis=0), strict=True
             )
-            yield f"{route} | {case} | {len(pole_map)} poles | " + " | ".join(
+            yield f"{place} | {case} | {len(pole_map)} poles | " + " | ".join(
                 f"{name} {mean:.3f} sd {sd:.3f} worst {worst:.3f}"
                 for name, mean, sd, worst in figures
             )
@@ -192,8 +193,8 @@ def rows_of(route: str, seeds: int) -> Iterator[str]:
 def main(words: list[str]) -> None:
     """Print every route as it is done."""
     seeds = int(words[0]) if words else 20
-    for route in words[1:] or list(CORNERS_M):
-        for line in rows_of(route, seeds):
+    for place in words[1:] or list(CORNERS_M):
+        for line in rows_of(place, seeds):
             print(line, flush=True)
 
 
