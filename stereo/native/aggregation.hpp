@@ -59,7 +59,7 @@ struct Loops {
   decltype(&baseline::median_rows) median_rows;
 };
 
-std::vector<Loops> supported_loops() {
+inline std::vector<Loops> supported_loops() {
   std::vector<Loops> found;
 #if defined(CENSUS_HAS_X86_VARIANTS)
   __builtin_cpu_init();
@@ -72,13 +72,12 @@ std::vector<Loops> supported_loops() {
     found.push_back({"avx2", avx2::smooth, avx2::census_transform, avx2::first_pass,
                      avx2::second_pass, avx2::check_rows, avx2::median_rows});
 #endif
-  found.push_back(
-      {"baseline", baseline::smooth, baseline::census_transform, baseline::first_pass,
-                     baseline::second_pass, baseline::check_rows, baseline::median_rows});
+  found.push_back({"baseline", baseline::smooth, baseline::census_transform, baseline::first_pass,
+                   baseline::second_pass, baseline::check_rows, baseline::median_rows});
   return found;
 }
 
-Loops choose_loops(const std::string& name) {
+inline Loops choose_loops(const std::string& name) {
   const auto all = supported_loops();
   if (name == "auto") return all.front();
   for (const Loops& loops : all)
@@ -87,7 +86,7 @@ Loops choose_loops(const std::string& name) {
 }
 
 // Runs the jobs side by side; an exception of any of them comes out here.
-void run_together(const std::vector<std::function<void()>>& jobs, bool threads) {
+inline void run_together(const std::vector<std::function<void()>>& jobs, bool threads) {
   if (!threads) {
     for (const auto& job : jobs) job();
     return;

@@ -61,7 +61,8 @@ KERNEL_INLINE void cost_lanes(const u8* __restrict l0, const u8* __restrict l1,
 }
 #endif
 
-// Matching costs of columns [x, x + kLanes) of one row for `count` disparities, from `shift` upwards.
+// Matching costs of kLanes columns of one row for the `count` smallest disparities; the bytes of
+// the right view are those of the partners at the first of them.
 KERNEL_INLINE void cost_rows(const u8* __restrict l0, const u8* __restrict l1,
                              const u8* __restrict l2, const u8* __restrict r0,
                              const u8* __restrict r1, const u8* __restrict r2,

@@ -59,7 +59,8 @@ KERNEL_FN void transpose_rows(const u8* first_row, std::size_t stride, int rows,
         const int row = lane + i < rows ? lane + i : rows - 1;
         __builtin_memcpy(tile[i], first_row + row * stride + x, 16);
       }
-      transpose<Bytes16>(tile[0], 16, out + static_cast<std::size_t>(x) * kStripRows + lane, kStripRows);
+      transpose<Bytes16>(tile[0], 16, out + static_cast<std::size_t>(x) * kStripRows + lane,
+                         kStripRows);
     }
 }
 
@@ -78,8 +79,8 @@ KERNEL_INLINE void start_horizontal(const Problem& p, u8* state) {
 }
 
 template <Output kOutput>
-KERNEL_FN void horizontal_step(const Problem& p, const u8* p2, u8* state, const u8* cost,
-                                   u8* out, const u8* ahead) {
+KERNEL_FN void horizontal_step(const Problem& p, const u8* p2, u8* state, const u8* cost, u8* out,
+                               const u8* ahead) {
   u8* minimum = state;
   u8* limit = state + kStripRows;
   u8* paths = state + 2 * kStripRows;

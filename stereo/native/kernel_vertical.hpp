@@ -152,7 +152,8 @@ KERNEL_FN void end_row(const Problem& p, Scratch& s, int phase) {
   const std::ptrdiff_t stride = p.state_stride();
   for (int k = 0; k < p.vertical_paths; ++k) {
     u8* fresh = s.paths.get() + k * p.state_size() + state_column(path_dx(p, k), 1 - phase);
-    for (int d = 1; d <= p.disparities; ++d) fresh[d * stride - 1] = fresh[d * stride + p.width] = 0;
+    for (int d = 1; d <= p.disparities; ++d)
+      fresh[d * stride - 1] = fresh[d * stride + p.width] = 0;
     s.minima.get()[((1 - phase) * 3 + k) * p.pixel_stride() + kLanes + p.width] = 0;
   }
 }
