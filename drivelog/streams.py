@@ -28,6 +28,7 @@ class OdometryStream:
         return len(self.stamp_s)
 
     def sample(self, row: int) -> OdometrySample:
+        """The sample of a row."""
         return OdometrySample(
             float(self.stamp_s[row]),
             float(self.arrival_s[row]),
@@ -36,6 +37,7 @@ class OdometryStream:
         )
 
     def rows(self, rows: Rows) -> OdometryStream:
+        """The chosen rows as a stream of their own."""
         return OdometryStream(
             self.stamp_s[rows],
             self.arrival_s[rows],
@@ -58,6 +60,7 @@ class GnssStream:
         return len(self.stamp_s)
 
     def sample(self, row: int) -> GnssFix:
+        """The sample of a row."""
         return GnssFix(
             float(self.stamp_s[row]),
             float(self.arrival_s[row]),
@@ -67,6 +70,7 @@ class GnssStream:
         )
 
     def rows(self, rows: Rows) -> GnssStream:
+        """The chosen rows as a stream of their own."""
         return GnssStream(
             self.stamp_s[rows],
             self.arrival_s[rows],
@@ -133,10 +137,12 @@ class ReferenceStream:
         return inside, low, high, share
 
     def sample(self, row: int) -> ReferencePose:
+        """The sample of a row."""
         east, north, yaw = (float(value) for value in self.poses[row])
         return ReferencePose(
             float(self.stamp_s[row]), Pose2D(east, north, yaw), float(self.sd_m[row])
         )
 
     def rows(self, rows: Rows) -> ReferenceStream:
+        """The chosen rows as a stream of their own."""
         return ReferenceStream(self.stamp_s[rows], self.poses[rows], self.sd_m[rows])

@@ -39,6 +39,7 @@ DEFAULT = (
 def run_lane(
     car: Car, name: str, gains: PiGains | None, seed: int, hold_s: float, driver: LaneChange
 ) -> LateralRun:
+    """One lane change behind an estimator, with no control where there are no gains."""
     estimator, late = behind(name, car, CAMERA_NOISE, (CAMERA, GPS))
     limit = yaw_moment_limit_nm(car)
     return run_lateral(
@@ -62,70 +63,17 @@ def lane_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]
         ConfigError: an estimator without side-slip.
     """
     names = choose(NAME, estimators, DEFAULT, (CAMERA, GPS), "sideslip_rad")
-    driver, limit_nm = LaneChange(), yaw_moment_limit_nm(car)
-    a, b = lateral(car, SPEED_MPS)
-    designed = place_pi(a, b, POLE_RADPS)
-    lag = plant_of(car).torque_lag_s
-    slow = gains_for_margin(car, SPEED_MPS, designed, SLOW_S, lag, MARGIN_DB)
-    fast = gains_for_margin(car, SPEED_MPS, designed, FAST_S, lag, MARGIN_DB)
-    figures = {
-        "feed_forward_nm_per_rad": feed_forward_gain(a, b),
-        "designed_nm_per_rad": designed.proportional_nm_per_rad,
-        "single_nm_per_rad": slow.proportional_nm_per_rad,
-        "multi_nm_per_rad": fast.proportional_nm_per_rad,
-    }
-    lines = [
-        Line("feed-forward, N m/rad", f"{feed_forward_gain(a, b):.0f}", "-2652", ""),
-        Line(
-            f"kp at {MARGIN_DB:.0f} dB, single / multi, N m/rad",
-            f"{slow.proportional_nm_per_rad:.0f} / {fast.proportional_nm_per_rad:.0f}",
-            "",
-            "multi-rate allows more gain",
-        ),
-    ]
-    curves: dict[str, LateralRun] = {}
-
-    def note(label: str, name: str, gains: PiGains | None, hold_s: float, claim: str = "") -> None:
-        runs = [run_lane(car, name, gains, seed, hold_s, driver) for seed in range(seeds)]
-        report(seeds)
-        key = label.replace(", ", "_").replace(" ", "_")
-        each = [r.error_rms_rad(driver.begin_s) for r in runs]
-        rms = float(np.mean(each))
-        peak = float(np.max([r.peak_rad() for r in runs]))
-        moment = float(np.max([r.moment_peak_nm() for r in runs]))
-        share = float(np.mean([r.saturated.mean() for r in runs]))
-        figures.update(
-            {
-                f"{key}_rms_rad": rms,
-                f"{key}_rms_sd_rad": float(np.std(each, ddof=1)) if len(each) > 1 else 0.0,
-                f"{key}_peak_rad": peak,
-                f"{key}_moment_nm": moment,
-                f"{key}_saturated": share,
-                f"{key}_rough_nm": float(np.mean([r.moment_step_nm() for r in runs])),
-            }
-        )
-        text = f"{1e3 * rms:.2f}, {1e3 * peak:.1f} mrad"
-        lines.append(Line(label, text, f"{moment:.0f} N m, {100 * share:.1f} % sat.", claim))
-        curves[label] = runs[0]
-
-    note(NONE, NONE, None, 0.0, "0.03 rad (Fig. 10, car)")
+    lane = _Lane(car, seeds, report)
+    designed, slow, fast = _gains(lane)
+    lane.note(NONE, NONE, None, 0.0, "0.03 rad (Fig. 10, car)")
     for name in (TRUTH, *names):
-        note(f"{name}, same gain, single rate", name, designed, SLOW_S)
-        note(f"{name}, same gain, multi-rate", name, designed, 0.0)
-        note(
-            f"{name}, same margin, single rate",
-            name,
-            slow,
-            SLOW_S,
-            "tracks worse (Fig. 8)" if name == "single_rate" else "",
-        )
-        note(
-            f"{name}, same margin, multi-rate",
-            name,
-            fast,
-            0.0,
-            "tracks better" if name == "compensated" else "",
-        )
+        lane.note(f"{name}, same gain, single rate", name, designed, SLOW_S)
+        lane.note(f"{name}, same gain, multi-rate", name, designed, 0.0)
+        claim = "tracks worse (Fig. 8)" if name == "single_rate" else ""
+        lane.note(f"{name}, same margin, single rate", name, slow, SLOW_S, claim)
+        claim = "tracks better" if name == "compensated" else ""
+        lane.note(f"{name}, same margin, multi-rate", name, fast, 0.0, claim)
+    limit_nm = yaw_moment_limit_nm(car)
     remarks = (
         "Columns: rms and largest side-slip; largest |Nz| "
         f"(limit {limit_nm:.1f} N m), share of time at it.",
@@ -134,30 +82,93 @@ def lane_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]
         "Single rate: controller and command once a camera frame, whatever the estimator; "
         "single_rate is W14's estimator, which itself stands still between pictures.",
     )
-    shown = [
-        NONE,
-        *(
-            f"{n}, same margin, {r}"
-            for n, r in (
-                ("single_rate", "single rate"),
-                ("compensated", "multi-rate"),
-                ("clones", "multi-rate"),
-            )
-        ),
-    ]
-    picked = {n: curves[n] for n in shown if n in curves}
-    if len(picked) < 3:
-        picked = {NONE: curves[NONE]} | {n: r for n, r in curves.items() if "same margin" in n}
     return Study(
         NAME,
         "Body-slip control in a lane change at 25 km/h",
-        tuple(lines),
+        tuple(lane.lines),
         (),
         remarks,
-        figures,
-        _panels(picked, limit_nm),
+        lane.figures,
+        _panels(_shown(lane.curves), limit_nm),
         ("rms, peak", "moment", "the paper says"),
     )
+
+
+class _Lane:
+    """Lane changes, and the table, figures and curves that they fill."""
+
+    def __init__(self, car: Car, seeds: int, report: Report) -> None:
+        self.car, self.seeds, self.report = car, seeds, report
+        self.driver = LaneChange()
+        self.lines: list[Line] = []
+        self.figures: dict[str, float] = {}
+        self.curves: dict[str, LateralRun] = {}
+
+    def note(
+        self, label: str, name: str, gains: PiGains | None, hold_s: float, claim: str = ""
+    ) -> None:
+        """A row: a run a seed behind an estimator, with the command held for `hold_s`."""
+        runs = [
+            run_lane(self.car, name, gains, seed, hold_s, self.driver) for seed in range(self.seeds)
+        ]
+        self.report(self.seeds)
+        key = label.replace(", ", "_").replace(" ", "_")
+        each = [r.error_rms_rad(self.driver.begin_s) for r in runs]
+        rms = float(np.mean(each))
+        peak = float(np.max([r.peak_rad() for r in runs]))
+        moment = float(np.max([r.moment_peak_nm() for r in runs]))
+        share = float(np.mean([r.saturated.mean() for r in runs]))
+        self.figures |= {
+            f"{key}_rms_rad": rms,
+            f"{key}_rms_sd_rad": float(np.std(each, ddof=1)) if len(each) > 1 else 0.0,
+            f"{key}_peak_rad": peak,
+            f"{key}_moment_nm": moment,
+            f"{key}_saturated": share,
+            f"{key}_rough_nm": float(np.mean([r.moment_step_nm() for r in runs])),
+        }
+        text = f"{1e3 * rms:.2f}, {1e3 * peak:.1f} mrad"
+        self.lines.append(Line(label, text, f"{moment:.0f} N m, {100 * share:.1f} % sat.", claim))
+        self.curves[label] = runs[0]
+
+
+def _gains(lane: _Lane) -> tuple[PiGains, PiGains, PiGains]:
+    """By pole placement, and raised until the margin is left: single rate and multi-rate."""
+    car = lane.car
+    a, b = lateral(car, SPEED_MPS)
+    designed = place_pi(a, b, POLE_RADPS)
+    lag = plant_of(car).torque_lag_s
+    slow = gains_for_margin(car, SPEED_MPS, designed, SLOW_S, lag, MARGIN_DB)
+    fast = gains_for_margin(car, SPEED_MPS, designed, FAST_S, lag, MARGIN_DB)
+    lane.figures |= {
+        "feed_forward_nm_per_rad": feed_forward_gain(a, b),
+        "designed_nm_per_rad": designed.proportional_nm_per_rad,
+        "single_nm_per_rad": slow.proportional_nm_per_rad,
+        "multi_nm_per_rad": fast.proportional_nm_per_rad,
+    }
+    lane.lines += [
+        Line("feed-forward, N m/rad", f"{feed_forward_gain(a, b):.0f}", "-2652", ""),
+        Line(
+            f"kp at {MARGIN_DB:.0f} dB, single / multi, N m/rad",
+            f"{slow.proportional_nm_per_rad:.0f} / {fast.proportional_nm_per_rad:.0f}",
+            "",
+            "multi-rate allows more gain",
+        ),
+    ]
+    return designed, slow, fast
+
+
+def _shown(curves: dict[str, LateralRun]) -> dict[str, LateralRun]:
+    """The runs of the picture: those that the paper compares, or all that are there."""
+    wanted = (
+        NONE,
+        "single_rate, same margin, single rate",
+        "compensated, same margin, multi-rate",
+        "clones, same margin, multi-rate",
+    )
+    picked = {name: curves[name] for name in wanted if name in curves}
+    if len(picked) < 3:
+        picked = {NONE: curves[NONE]} | {n: r for n, r in curves.items() if "same margin" in n}
+    return picked
 
 
 def _panels(runs: dict[str, LateralRun], limit_nm: float) -> tuple[Panel, ...]:
