@@ -94,69 +94,12 @@ def cornering_study(car: Car, seeds: int, report: Report, estimators: tuple[str,
         ConfigError: an estimator that needs a camera, or has no side-slip.
     """
     names = choose(NAME, estimators, DEFAULT, (GPS,), "sideslip_rad")
-    dry = Case(car, Corner(), 0.9)
-    settled, begin = dry.corner.settled_s, dry.corner.begin_s
-    lines: list[Line] = []
-    limit_nm = yaw_moment_limit_nm(car)
-    figures = {"moment_limit_nm": limit_nm}
-    curves: dict[str, LateralRun] = {}
-
-    def several(
-        case: Case, name: str, settings: CornerSettings, hold_s: float = 0.0
-    ) -> list[LateralRun]:
-        runs = [case.run(name, seed, settings, hold_s) for seed in range(seeds)]
-        report(seeds)
-        return runs
-
-    def mean(runs: list[LateralRun], start_s: float) -> float:
-        return float(np.mean([r.error_rms_rad(start_s) for r in runs]))
-
-    free = several(dry, NONE, CornerSettings())
-    figures["free_settled_rad"] = mean(free, settled)
-    lines.append(
-        Line(NONE, f"{1e3 * mean(free, settled):.2f} mrad", "15.6", "off the reference (Fig. 15)")
-    )
-    curves[NONE] = free[0]
+    table = _Table(Case(car, Corner(), 0.9), seeds, report)
+    table.free()
     for name in (TRUTH, *names):
-        left = several(dry, name, CornerSettings(reject=False))
-        done = several(dry, name, CornerSettings())
-        held = several(dry, name, CornerSettings(), GPS_PERIOD_S)
-        ratio = mean(done, settled) / mean(left, settled)
-        key = name.replace(" ", "_")
-        peak = max(r.moment_peak_nm() for r in (*left, *done, *held))
-        figures |= {
-            f"{key}_unrejected_rad": mean(left, settled),
-            f"{key}_rejected_rad": mean(done, settled),
-            f"{key}_ratio": ratio,
-            f"{key}_ratio_worst": max(
-                d.error_rms_rad(settled) / u.error_rms_rad(settled)
-                for d, u in zip(done, left, strict=True)
-            ),
-            f"{key}_whole_ratio": mean(done, begin) / mean(left, begin),
-            f"{key}_held_rad": mean(held, settled),
-            f"{key}_moment_nm": peak,
-            f"{key}_saturated": float(np.mean([r.saturated.mean() for r in done])),
-        }
-        sat = figures[f"{key}_saturated"]
-        values = [1e3 * mean(runs, settled) for runs in (left, done, held)]
-        errata, claim = PAPER.get(name, ("", ""))
-        lines += [
-            Line(
-                f"{name}: unrejected / rejected / single rate",
-                " / ".join(f"{v:.2f}" for v in values) + " mrad",
-                errata,
-                claim,
-            ),
-            Line(
-                f"{name}: rejected / unrejected; whole corner",
-                f"{ratio:.3f}; {figures[f'{key}_whole_ratio']:.2f}",
-                "0.04" if errata else "",
-                f"|Nz| up to {peak:.1f} N m (limit {limit_nm:.1f}), {100 * sat:.1f} % saturated",
-            ),
-        ]
-        curves[name] = done[0]
+        table.behind(name)
     ice = Case(car, Corner(ICE_STEER_RAD), ICE)
-    lines += _ice(ice, names[-1], seeds, figures)
+    lines = [*table.lines, *_ice(ice, names[-1], seeds, table.figures)]
     report(3 * seeds)
     remarks = (
         "Side-slip against its reference, rms from 1 s after the wheel stands; single rate: the "
@@ -175,10 +118,84 @@ def cornering_study(car: Car, seeds: int, report: Report, estimators: tuple[str,
         tuple(lines),
         (),
         remarks,
-        figures,
-        _panels(curves, limit_nm),
+        table.figures,
+        _panels(table.curves, table.limit_nm),
         ("ours", "errata", "the paper says; moment"),
     )
+
+
+class _Table:
+    """Runs of the dry corner, and the rows, figures and curves that they fill."""
+
+    def __init__(self, case: Case, seeds: int, report: Report) -> None:
+        self.case, self.seeds, self.report = case, seeds, report
+        self.limit_nm = yaw_moment_limit_nm(case.car)
+        self.lines: list[Line] = []
+        self.figures = {"moment_limit_nm": self.limit_nm}
+        self.curves: dict[str, LateralRun] = {}
+
+    def several(self, name: str, settings: CornerSettings, hold_s: float = 0.0) -> list[LateralRun]:
+        """A run a seed."""
+        runs = [self.case.run(name, seed, settings, hold_s) for seed in range(self.seeds)]
+        self.report(self.seeds)
+        return runs
+
+    def free(self) -> None:
+        """The row of no control."""
+        runs = self.several(NONE, CornerSettings())
+        error = _mean_error_rad(runs, self.case.corner.settled_s)
+        self.figures["free_settled_rad"] = error
+        self.lines.append(
+            Line(NONE, f"{1e3 * error:.2f} mrad", "15.6", "off the reference (Fig. 15)")
+        )
+        self.curves[NONE] = runs[0]
+
+    def behind(self, name: str) -> None:
+        """The rows of one estimator: without and with rejection, and at the GPS rate."""
+        settled, begin = self.case.corner.settled_s, self.case.corner.begin_s
+        left = self.several(name, CornerSettings(reject=False))
+        done = self.several(name, CornerSettings())
+        held = self.several(name, CornerSettings(), GPS_PERIOD_S)
+        errors = [_mean_error_rad(runs, settled) for runs in (left, done, held)]
+        ratio = errors[1] / errors[0]
+        whole = _mean_error_rad(done, begin) / _mean_error_rad(left, begin)
+        peak = max(r.moment_peak_nm() for r in (*left, *done, *held))
+        share = float(np.mean([r.saturated.mean() for r in done]))
+        key = name.replace(" ", "_")
+        self.figures |= {
+            f"{key}_unrejected_rad": errors[0],
+            f"{key}_rejected_rad": errors[1],
+            f"{key}_ratio": ratio,
+            f"{key}_ratio_worst": max(
+                d.error_rms_rad(settled) / u.error_rms_rad(settled)
+                for d, u in zip(done, left, strict=True)
+            ),
+            f"{key}_whole_ratio": whole,
+            f"{key}_held_rad": errors[2],
+            f"{key}_moment_nm": peak,
+            f"{key}_saturated": share,
+        }
+        errata, claim = PAPER.get(name, ("", ""))
+        self.lines += [
+            Line(
+                f"{name}: unrejected / rejected / single rate",
+                " / ".join(f"{1e3 * error:.2f}" for error in errors) + " mrad",
+                errata,
+                claim,
+            ),
+            Line(
+                f"{name}: rejected / unrejected; whole corner",
+                f"{ratio:.3f}; {whole:.2f}",
+                "0.04" if errata else "",
+                f"|Nz| up to {peak:.1f} N m (limit {self.limit_nm:.1f}), "
+                f"{100 * share:.1f} % saturated",
+            ),
+        ]
+        self.curves[name] = done[0]
+
+
+def _mean_error_rad(runs: list[LateralRun], start_s: float) -> float:
+    return float(np.mean([r.error_rms_rad(start_s) for r in runs]))
 
 
 def _ice(ice: Case, name: str, seeds: int, figures: dict[str, float]) -> list[Line]:
