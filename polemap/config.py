@@ -20,7 +20,7 @@ class DetectionConfig(BaseModel):
     model: str = Field("default", description="Built-in classifier name, or a path to its JSON.")
     row_step_px: int = Field(3, ge=1, le=8, description="Every n-th image row is looked at.")
     range_min_m: float = Field(3.0, gt=0.0)
-    range_max_m: float = Field(25.0, gt=0.0, le=100.0)
+    range_max_m: float = Field(30.0, gt=0.0, le=100.0)
     step_min_px: float = Field(0.8, gt=0.0, description="Smallest disparity jump of a depth edge.")
     step_min_m: float = Field(0.4, gt=0.0, description="Smallest depth jump of a depth edge.")
     width_min_m: float = Field(0.03, gt=0.0)
@@ -33,7 +33,9 @@ class DetectionConfig(BaseModel):
     refine_probability: float = Field(
         0.15, ge=0.0, le=1.0, description="From here on the disparity is fitted to the images."
     )
-    disparity_sd_px: float = Field(0.3, gt=0.0, description="Error that a whole stem shares.")
+    disparity_sd_px: float = Field(
+        0.15, gt=0.0, description="Error that a whole stem shares, beside what all poles share."
+    )
     matcher_sd_px: float = Field(0.25, ge=0.0, description="More of it without the fit.")
     column_sd_px: float = Field(0.7, gt=0.0, description="Error of a stem's centre column.")
     across_sd_m: float = Field(0.03, ge=0.0, description="Of the axis at ground level, sideways.")
@@ -62,6 +64,9 @@ class TrackingConfig(BaseModel):
     detection_probability: float = Field(
         0.5, gt=0.0, lt=1.0, description="In view, per frame, of thin and far ones, too."
     )
+    pole_share: float = Field(
+        0.43, gt=0.0, lt=1.0, description="Of what a detector judges: its odds speak against these."
+    )
     birth_probability: float = Field(0.3, ge=0.0, le=1.0, description="Least to begin a track.")
     gate_max_m: float = Field(2.5, gt=0.0, description="Of the gate, whatever the covariance.")
     period_s: float = Field(0.1, gt=0.0, description="Frames closer than this are less evidence.")
@@ -77,7 +82,7 @@ class TrackingConfig(BaseModel):
     yaw_rate_sd_radps: float = Field(0.01, ge=0.0)
     drift_sd_mps: float = Field(0.05, ge=0.0, description="How fast a landmark may wander.")
     disparity_offset_sd_px: float = Field(
-        0.2, ge=0.0, description="Error that all disparities may share; learned, 0 switches it off."
+        0.4, ge=0.0, description="Error that all disparities may share; learned, 0 switches it off."
     )
     gap_max_s: float = Field(1.0, gt=0.0, description="A longer gap in odometry drops all tracks.")
 

@@ -68,7 +68,7 @@ _SINGLE = (
     "above_free",  # of the heights right above the top, those with free space
     "above_same",  # those with the stem's own depth
 )
-NAMES = (*_SINGLE, *feature_products.NAMES)
+NAMES = (*_SINGLE, *feature_products.names(_SINGLE))
 _CLEAR, _CLEAR_LOW, _ON, _VISIBLE = 11, 12, 13, 14  # rows of the counts
 _SHARE_OF = [_CLEAR, _CLEAR_LOW, _ON, _ON, _ON, _ON, _ON, _VISIBLE, _ON, _ON, _ON]
 

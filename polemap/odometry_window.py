@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from drivelog.samples import OdometrySample
-from polemap.tracking import Motion
+from polemap.tracks import Motion
 from vehicle.motion import move_along_arc
 
 

@@ -17,7 +17,8 @@ from polemap.detection import FrameView, detect
 from polemap.disparity_offset import DisparityOffset
 from polemap.models.io import read_classifier
 from polemap.odometry_window import OdometryWindow
-from polemap.tracking import PoleTracker, Sighting, Tracks
+from polemap.tracking import PoleTracker
+from polemap.tracks import Sighting, Tracks
 from stereo.config import StereoConfig
 from stereo.matching import DisparityPair, StereoMatcher, make_matcher
 from stereo.rig import StereoRig
@@ -131,16 +132,19 @@ class PolePerception:
         mended, scan = self._track_stereo(sighting, frame.arrival_s, self._offset)
         found = replace(found, points_vehicle_m=mended.points_vehicle_m)
         view = replace(view, detections=found)
-        return Look(frame, disparity, view, self._tracker.tracks, scan)
+        return Look(frame, disparity, view, self._tracks(), scan)
 
     def _track_stereo(
         self, raw: Sighting, arrival_s: float, offset: DisparityOffset
     ) -> tuple[Sighting, PoleScan]:
         """Track with what is known of the disparities' error, and learn more of it."""
         elapsed_s = raw.stamp_s - self._stamp_s if self._stamp_s is not None else np.inf
-        mended = replace(raw, points_vehicle_m=offset.corrected(raw.points_vehicle_m))
+        points = offset.corrected(raw.points_vehicle_m)
+        mended = replace(raw, points_vehicle_m=points, per_offset_m=offset.per_px(points))
+        before = offset.value_px
         scan = self._track(mended, arrival_s)
         offset.see(mended, self._tracker.tracks, elapsed_s)
+        self._tracker.shift(offset.value_px - before)
         return mended, scan
 
     def _track(self, sighting: Sighting, arrival_s: float) -> PoleScan:
@@ -158,7 +162,8 @@ class PolePerception:
                     self._offset.move(motion)
         self._stamp_s = sighting.stamp_s
         tracker.update(sighting)
-        tracks = tracker.tracks.take(tracker.tracks.confirmed)
+        tracks = self._tracks()
+        tracks = tracks.take(tracks.confirmed)
         if self._config.tracking.output == "tracks":
             # a track that was just not seen is still known, but only what is in view is a scan
             shown = tracks.detection >= 0
@@ -168,12 +173,21 @@ class PolePerception:
             return _scan(sighting, arrival_s, tracks)
         tracks = tracks.take(tracks.detection >= 0)
         rows = tracks.detection
+        covariance = sighting.covariance_m2[rows]
+        if sighting.per_offset_m is not None and self._offset is not None:
+            shared = sighting.per_offset_m[rows]
+            covariance = covariance + self._offset.sd_px**2 * (
+                shared[:, :, None] * shared[:, None, :]
+            )
         measured = replace(
-            tracks,
-            points_vehicle_m=sighting.points_vehicle_m[rows],
-            covariance_m2=sighting.covariance_m2[rows],
+            tracks, points_vehicle_m=sighting.points_vehicle_m[rows], covariance_m2=covariance
         )
         return _scan(sighting, arrival_s, measured)
+
+    def _tracks(self) -> Tracks:
+        """All tracks, with what the shared error adds to their covariance."""
+        tracks = self._tracker.tracks
+        return tracks if self._offset is None else tracks.with_shared(self._offset.sd_px**2)
 
 
 def _scan(sighting: Sighting, arrival_s: float, tracks: Tracks) -> PoleScan:

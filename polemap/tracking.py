@@ -3,26 +3,29 @@
 Every track has a position with covariance, a width, and the log-odds that it exists. Tracks and
 detections are assigned optimally within a gate on the squared Mahalanobis distance.
 
+What all disparities share, an error of the camera, is no noise at all: every track keeps how it
+leans on that error (a Schmidt filter's considered state), so that it can be moved when the error
+is known better, and its covariance told with what is not known yet.
+
 Errors of one stem's disparity hardly change from frame to frame, so a frame is not a fresh
 measurement. They are modelled as exponentially correlated with `error_time_s`; a white error of
 variance R (1 + r) / (1 - r), r = exp(-dt / error_time_s), is worth as much in the long run, and
 that is what the filter is told. The first frame of a track counts with R itself.
 
 Source: S16, section III-A; Y. Bar-Shalom et al. 2002, sections 5.2 and 8.2 for filter and
-correlated noise; S. Thrun et al. 2005, section 4.2 for the log-odds.
+correlated noise; S. Schmidt 1966 for considered errors; S. Thrun et al. 2005, section 4.2 for the
+log-odds.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
-from drivelog.samples import VisibleRegion
 from polemap.config import TrackingConfig
+from polemap.tracks import Motion, Sighting, Tracks, concatenate, with_changes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -32,84 +35,6 @@ _LOG_ODDS_LIMIT = 5.0
 _HIT_LIMIT = (-1.5, 2.0)  # one frame's say: a wrong structure is wrong in every frame
 _HEIGHT_MEMORY = 20.0
 _LATE_SHARE = 0.93  # of the free range within which a pole is expected
-
-
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """What a detector saw at one moment, vehicle frame; one pole a row.
-
-    Attributes:
-        points_vehicle_m: `(n, 2)`.
-        covariance_m2: `(n, 2, 2)`.
-        width_m, height_m: `(n,)`, NaN where unknown.
-        probability: `(n,)` of being a pole.
-        view: where poles could have been seen, None if the detector does not say.
-    """
-
-    stamp_s: float
-    points_vehicle_m: Floats
-    covariance_m2: Floats
-    width_m: Floats
-    height_m: Floats
-    probability: Floats
-    view: VisibleRegion | None
-
-
-def _none() -> Floats:
-    return np.empty(0)
-
-
-@dataclass(frozen=True, slots=True)
-class Tracks:
-    """All tracks at one moment, vehicle frame; one a row.
-
-    Attributes:
-        ids: `(n,)`, never used twice.
-        points_vehicle_m, covariance_m2: `(n, 2)`, `(n, 2, 2)`.
-        width_m, width_var_m2: `(n,)`.
-        height_m: `(n,)` running mean of the visible height, NaN where unknown.
-        log_odds: `(n,)` of existence.
-        hits: `(n,)` frames that saw it.
-        born_s, seen_s: first and last stamp at which it was seen.
-        confirmed: `(n,)`.
-        detection: `(n,)` row of the detection that it took in the last update, -1 if none.
-    """
-
-    ids: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    points_vehicle_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
-    covariance_m2: Floats = field(default_factory=lambda: np.empty((0, 2, 2)))
-    width_m: Floats = field(default_factory=_none)
-    width_var_m2: Floats = field(default_factory=_none)
-    height_m: Floats = field(default_factory=_none)
-    log_odds: Floats = field(default_factory=_none)
-    hits: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    born_s: Floats = field(default_factory=_none)
-    seen_s: Floats = field(default_factory=_none)
-    confirmed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
-    detection: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    @property
-    def existence(self) -> Floats:
-        """`(n,)` probability that it is a pole."""
-        return np.asarray(1.0 / (1.0 + np.exp(-self.log_odds)))
-
-    def take(self, rows: Ints | NDArray[np.bool_]) -> Tracks:
-        """The chosen rows."""
-        return Tracks(*(getattr(self, name)[rows] for name in self.__slots__))
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """How the vehicle moved between two stamps: the later pose in the earlier one's frame."""
-
-    dt_s: float
-    forward_m: float
-    left_m: float
-    turn_rad: float
-    distance_m: float
 
 
 class PoleTracker:
@@ -142,7 +67,17 @@ class PoleTracker:
         noise[:, 0, 0] += var_along
         noise += (config.drift_sd_mps * dt) ** 2 * np.eye(2)
         covariance = later_from_earlier @ tracks.covariance_m2 @ later_from_earlier.T + noise
-        self.tracks = _with(tracks, points_vehicle_m=points, covariance_m2=covariance)
+        self.tracks = with_changes(
+            tracks,
+            points_vehicle_m=points,
+            covariance_m2=covariance,
+            per_offset_m=tracks.per_offset_m @ later_from_earlier.T,
+        )
+
+    def shift(self, change: float) -> None:
+        """Move all tracks: the error that they share is known to differ by `change` from before."""
+        points = self.tracks.points_vehicle_m + change * self.tracks.per_offset_m
+        self.tracks = with_changes(self.tracks, points_vehicle_m=points)
 
     def update(self, sighting: Sighting) -> Ints:
         """Correct, bear, confirm and delete; returns each detection's track id, -1 for none."""
@@ -159,11 +94,11 @@ class PoleTracker:
         born = np.flatnonzero(free & (sighting.probability >= config.birth_probability))
         fresh = self._bear(born, sighting)
         ids[born] = fresh.ids
-        tracks = _concatenate(tracks, fresh)
+        tracks = concatenate(tracks, fresh)
         existence = tracks.existence
         sure = (existence >= config.confirm_existence) & (tracks.hits >= config.confirm_hits)
         confirmed = sure | (tracks.confirmed & (existence >= 0.5))
-        tracks = _with(tracks, confirmed=confirmed)
+        tracks = with_changes(tracks, confirmed=confirmed)
         alive = existence >= config.delete_existence
         alive &= sighting.stamp_s - tracks.seen_s <= config.forget_after_s
         self.tracks = tracks.take(alive)
@@ -216,6 +151,8 @@ class PoleTracker:
         covariance[one] = keep @ prior @ np.swapaxes(keep, 1, 2) + gain @ measured @ np.swapaxes(
             gain, 1, 2
         )
+        shared = tracks.per_offset_m.copy()
+        shared[one] += np.einsum("nij,nj->ni", gain, _shared(sighting)[two] - shared[one])
         width, width_var = tracks.width_m.copy(), tracks.width_var_m2.copy()
         seen = sighting.width_m[two]
         share = width_var[one] / (width_var[one] + config.width_sd_m**2)
@@ -230,13 +167,13 @@ class PoleTracker:
         mixed = np.where(np.isnan(height[one]), tall, height[one] + part * (tall - height[one]))
         height[one] = np.where(np.isnan(tall), height[one], mixed)
         log_odds = tracks.log_odds.copy()
-        log_odds[one] += pace * np.clip(_logit(sighting.probability[two]), *_HIT_LIMIT)
+        log_odds[one] += pace * self._evidence(sighting.probability[two])
         hits, seen_s = tracks.hits.copy(), tracks.seen_s.copy()
         hits[one] += 1
         seen_s[one] = sighting.stamp_s
         detection = np.full(len(tracks), -1, dtype=np.int64)
         detection[one] = two
-        return _with(
+        return with_changes(
             tracks,
             points_vehicle_m=points,
             covariance_m2=covariance,
@@ -247,6 +184,7 @@ class PoleTracker:
             hits=hits,
             seen_s=seen_s,
             detection=detection,
+            per_offset_m=shared,
         )
 
     def _miss(self, tracks: Tracks, sighting: Sighting, pace: float) -> Tracks:
@@ -259,7 +197,12 @@ class PoleTracker:
             missed &= view.contains(away + view.origin_vehicle_m)
         step = pace * np.log(1.0 - config.detection_probability)
         log_odds = np.maximum(tracks.log_odds + np.where(missed, step, 0.0), -_LOG_ODDS_LIMIT)
-        return _with(tracks, log_odds=log_odds)
+        return with_changes(tracks, log_odds=log_odds)
+
+    def _evidence(self, probability: Floats) -> Floats:
+        """Log of how much likelier such a look is at a pole than at another thing."""
+        share = np.array(self._config.pole_share)
+        return np.clip(_logit(probability) - _logit(share), *_HIT_LIMIT)
 
     def _bear(self, rows: Ints, sighting: Sighting) -> Tracks:
         count = len(rows)
@@ -275,24 +218,20 @@ class PoleTracker:
             width_m=np.where(known, width, 0.2),
             width_var_m2=np.where(known, self._config.width_sd_m**2, 0.3**2),
             height_m=sighting.height_m[rows],
-            log_odds=np.clip(_logit(sighting.probability[rows]), *_HIT_LIMIT),
+            log_odds=self._evidence(sighting.probability[rows]),
             hits=np.ones(count, dtype=np.int64),
             born_s=stamps,
             seen_s=stamps,
             confirmed=np.zeros(count, dtype=bool),
             detection=rows.astype(np.int64),
+            per_offset_m=_shared(sighting)[rows],
         )
 
 
-def _with(tracks: Tracks, **changes: object) -> Tracks:
-    values = {name: changes.get(name, getattr(tracks, name)) for name in tracks.__slots__}
-    return Tracks(**values)  # type: ignore[arg-type]
-
-
-def _concatenate(one: Tracks, two: Tracks) -> Tracks:
-    return Tracks(
-        *(np.concatenate([getattr(one, name), getattr(two, name)]) for name in one.__slots__)
-    )
+def _shared(sighting: Sighting) -> Floats:
+    if sighting.per_offset_m is None:
+        return np.zeros_like(sighting.points_vehicle_m)
+    return sighting.per_offset_m
 
 
 def _logit(probability: Floats) -> Floats:

@@ -21,6 +21,7 @@ from polemap.config import DetectionConfig
 from polemap.detection import detect
 from polemap.features import NAMES
 from polemap.landmark_map import PoleMap
+from polemap.map_offset import offset_from_map, with_disparity
 from stereo.matching import StereoMatcher
 from vehicle.pose import Pose2D
 
@@ -35,6 +36,7 @@ class TrainingConfig:
         pole_within_m: nearer to a mapped pole is a pole; grows by `per_range` of the range.
         other_beyond_m: farther from all of them is not a pole.
         per_range: for the error of the range.
+        range_max_m: what lies farther is not used: neither its place nor a map's is sure enough.
         inverse_penalty: of the logistic regression.
         every: only every n-th frame is used: neighbours are alike.
     """
@@ -42,7 +44,8 @@ class TrainingConfig:
     pole_within_m: float = 0.55
     other_beyond_m: float = 1.1
     per_range: float = 0.015
-    inverse_penalty: float = 0.3
+    range_max_m: float = 25.0
+    inverse_penalty: float = 0.07
     every: int = 1
 
 
@@ -122,27 +125,34 @@ def collect(
         raise InputError(f"training: drive {drive.name} needs images and a reference")
     count = len(drive.frame_stamps_s)
     poses = drive.reference.at(drive.frame_stamps_s)
-    features, labels, groups, poles = [], [], [], []
+    looks: list[tuple[Pose2D, Floats, Floats, int]] = []
     for row in range(0, count, config.every):
         if not np.isfinite(poses[row]).all():
             continue
         frame = drive.read_frame(row)
         disparity = matcher.match(frame.left, frame.right)
         found = detect(frame.left, frame.right, disparity, drive.rig, None, detection).detections
-        points = Pose2D(*poses[row]).transform(found.points_vehicle_m)
-        slack = config.per_range * np.hypot(*found.points_vehicle_m.T)
+        looks.append(
+            (Pose2D(*poses[row]), found.points_vehicle_m, found.features, row * parts // count)
+        )
+        if progress is not None:
+            progress(config.every)
+    # a camera out of true puts far poles beside the map's, which would be taken for other things
+    offset_px = offset_from_map([look[:2] for look in looks], pole_map, drive.rig)
+    features, labels, groups, poles = [], [], [], []
+    for pose, seen, measured, part in looks:
+        points = pose.transform(with_disparity(seen, offset_px, drive.rig))
+        slack = config.per_range * np.hypot(*seen.T)
         nearest, distance = _nearest(points, pole_map.points_m)
         is_pole = distance <= config.pole_within_m + slack
         is_other = distance >= config.other_beyond_m + slack
         if ignore_m is not None and len(ignore_m):
             is_other &= _nearest(points, ignore_m)[1] > config.other_beyond_m + slack
-        use = is_pole | is_other
-        features.append(found.features[use])
+        use = (is_pole | is_other) & (np.hypot(*seen.T) <= config.range_max_m)
+        features.append(measured[use])
         labels.append(is_pole[use])
-        groups.append(np.full(np.count_nonzero(use), row * parts // count))
+        groups.append(np.full(np.count_nonzero(use), part))
         poles.append(np.where(is_pole, nearest, -1)[use])
-        if progress is not None:
-            progress(config.every)
     names = tuple(f"{drive.name}[{part + 1}/{parts}]" for part in range(parts))
     return Samples(
         np.concatenate(features) if features else np.empty((0, len(NAMES))),

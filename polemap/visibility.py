@@ -19,6 +19,7 @@ _HEIGHTS_M = np.arange(0.7, 2.6, 0.15)  # the part of a pole by which it is foun
 _AT_RANGE_M = 12.0
 _FREE_SHARE = 0.4  # a pole of which so much is visible can be found
 _MARGIN_M = 0.7
+_MARGIN_PX = 0.3
 _BORDER_PX = 6.0
 
 
@@ -50,7 +51,7 @@ def visible_region(
     blocking = ordered[:, int(_FREE_SHARE * ordered.shape[1])]
     forward = rig.focal_px * rig.baseline_m / np.maximum(blocking, 1e-3)
     middle = centres.reshape(_BINS, _COLUMNS).mean(axis=1) - mount.yaw_rad
-    margin = _MARGIN_M + config.disparity_sd_px * forward**2 / (rig.focal_px * rig.baseline_m)
+    margin = _MARGIN_M + _MARGIN_PX * forward**2 / (rig.focal_px * rig.baseline_m)
     free = np.minimum(forward / np.cos(middle) + margin, config.range_max_m)
     return _region(rig, bearing, free, config)
 

@@ -7,7 +7,7 @@ import pytest
 
 from polemap.config import TrackingConfig
 from polemap.disparity_offset import DisparityOffset
-from polemap.tracking import Motion, Sighting, Tracks
+from polemap.tracks import Motion, Sighting, Tracks
 from stereo.rig import Mounting, StereoRig
 
 RIG = StereoRig(768, 480, 823.5, 383.5, 239.5, 0.30, Mounting(1.9, 0.15, 1.3, 0.0, 0.0, 0.0))
@@ -17,9 +17,18 @@ STEP_M, DT_S = 0.8, 0.1
 
 
 def drive(
-    missing_px: float, config: TrackingConfig, *, seed: int = 0, frames: int = 60
+    missing_px: float,
+    config: TrackingConfig,
+    *,
+    seed: int = 0,
+    frames: int = 60,
+    scale: float = 0.0,
+    turning_radps: float = 0.0,
 ) -> DisparityOffset:
-    """A car on a gentle bend past six poles; every disparity lacks `missing_px`."""
+    """A car on a gentle bend past six poles; every disparity lacks `missing_px`.
+
+    Its odometry is `scale` too long and turns `turning_radps` too fast.
+    """
     rng = np.random.default_rng(seed)
     offset = DisparityOffset(RIG, config)
     poles = np.array([[20 + 9.0 * k, (-1) ** k * 4.0 + 0.05 * k**2] for k in range(6)])
@@ -27,7 +36,8 @@ def drive(
     for frame in range(frames):
         if frame:
             turn = 0.004
-            offset.move(Motion(DT_S, STEP_M, 0.0, turn, STEP_M))
+            said_m = STEP_M * (1.0 + scale)
+            offset.move(Motion(DT_S, said_m, 0.0, turn + turning_radps * DT_S, said_m))
             pose = pose + np.array([STEP_M * np.cos(pose[2]), STEP_M * np.sin(pose[2]), turn])
         c, s = np.cos(pose[2]), np.sin(pose[2])
         rays = (poles - pose[:2]) @ np.array([[c, -s], [s, c]]) - ORIGIN
@@ -75,3 +85,21 @@ def test_a_standing_car_learns_nothing() -> None:
 
 def test_a_track_that_contradicts_the_others_is_left_out() -> None:
     assert drive(3.0, TrackingConfig()).value_px == 0.0
+
+
+@pytest.mark.parametrize(("scale", "turning_radps"), [(0.02, 0.0), (-0.02, 0.0), (0.0, 0.01)])
+def test_a_fault_of_the_odometry_is_not_taken_for_an_offset(
+    scale: float, turning_radps: float
+) -> None:
+    config = TrackingConfig()
+    one = drive(0.2, config, scale=scale, turning_radps=turning_radps)
+    assert one.sd_px < 0.6 * config.disparity_offset_sd_px
+    assert one.value_px == pytest.approx(0.2, abs=2.0 * one.sd_px)
+
+
+def test_points_move_by_what_a_pixel_more_does() -> None:
+    offset = DisparityOffset(RIG, TrackingConfig())
+    point = np.array([[18.0, 5.0]])
+    offset.value_px = 1e-4
+    moved = (offset.corrected(point) - point) / 1e-4
+    np.testing.assert_allclose(offset.per_px(point), moved, rtol=1e-4)

@@ -134,6 +134,11 @@ def test_a_camera_sees_what_falls_into_its_picture() -> None:
     points = np.column_stack([rng.uniform(-10, 30, 2000), rng.uniform(-20, 20, 2000)])
     column = rig.project(np.column_stack([points, np.full(2000, 1.6)]))[:, 0]
     distance = np.hypot(*(points - (1.7, 0.1)).T)
-    shown = (column > 6.0) & (column < 1235.0) & (distance > 3.0) & (distance < 25.0)
+    shown = (
+        (column > 6.0)
+        & (column < 1235.0)
+        & (distance > 3.0)
+        & (distance < DetectionConfig().range_max_m)
+    )
     assert 100 < shown.sum() < 1000
     np.testing.assert_array_equal(camera_sector(rig, DetectionConfig()).contains(points), shown)

@@ -13,7 +13,8 @@ from scipy.stats import chi2
 from drivelog.samples import OdometrySample, VisibleRegion
 from polemap.config import TrackingConfig
 from polemap.odometry_window import OdometryWindow
-from polemap.tracking import Motion, PoleTracker, Sighting
+from polemap.tracking import PoleTracker
+from polemap.tracks import Motion, Sighting
 from vehicle.pose import Pose2D
 
 CONFIG = TrackingConfig()
@@ -271,3 +272,38 @@ def test_a_track_takes_a_detection_by_its_mahalanobis_distance(seed: int) -> Non
             one = replace(sighting(stamp, point[None]), covariance_m2=spread[None])
             ids = tracker.update(one)
         assert (ids[0] == 0) == taken
+
+
+def test_tracks_are_moved_by_the_error_that_they_share_once_it_is_known() -> None:
+    rng = np.random.default_rng(5)
+    wrong, right = PoleTracker(CONFIG), PoleTracker(CONFIG)
+    poles, error = np.array([[20.0, 3.0], [14.0, -4.0]]), 0.3
+    for step in range(8):
+        if step:
+            for tracker in (wrong, right):
+                tracker.predict(Motion(0.1, 1.0, 0.0, 0.01, 1.0))
+            turn = np.array([[np.cos(0.01), -np.sin(0.01)], [np.sin(0.01), np.cos(0.01)]])
+            poles = (poles - [1.0, 0.0]) @ turn
+        per_unit = -poles * poles[:, :1] / 247.0
+        seen = poles + 0.02 * rng.standard_normal(poles.shape)
+        right.update(replace(sighting(0.1 * step, seen), per_offset_m=per_unit))
+        wrong.update(replace(sighting(0.1 * step, seen + error * per_unit), per_offset_m=per_unit))
+    gap = wrong.tracks.points_vehicle_m - right.tracks.points_vehicle_m
+    assert np.hypot(*gap.T).min() > 0.1
+    # a track still leans on what it saw from afar
+    now = np.hypot(*(error * per_unit).T)
+    assert (np.hypot(*gap.T) > now).all()
+    wrong.shift(-error)
+    np.testing.assert_allclose(
+        wrong.tracks.points_vehicle_m, right.tracks.points_vehicle_m, atol=1e-3
+    )
+    wide = wrong.tracks.with_shared(error**2).covariance_m2 - wrong.tracks.covariance_m2
+    np.testing.assert_allclose(wide, gap[:, :, None] * gap[:, None, :], atol=1e-3)
+
+
+def test_what_the_detector_takes_for_granted_is_no_evidence() -> None:
+    for probability, sign in ((CONFIG.pole_share, 0.0), (0.6, 1.0), (0.3, -1.0)):
+        tracker = PoleTracker(CONFIG)
+        for step in range(4):
+            tracker.update(sighting(0.1 * step, np.array([10.0, 2.0]), probability=probability))
+        assert np.sign(np.round(tracker.tracks.log_odds, 9)).tolist() == [sign]

@@ -1,0 +1,58 @@
+"""A camera's lacking disparity, told by a known map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivelog.frames import EarthFrame
+from polemap.landmark_map import PoleMap
+from polemap.map_offset import offset_from_map, with_disparity
+from stereo.rig import Mounting, StereoRig
+from vehicle.pose import Pose2D
+
+RIG = StereoRig(768, 480, 823.5, 383.5, 239.5, 0.30, Mounting(1.9, 0.15, 1.3, 0.0, 0.0, 0.0))
+
+
+def street(rng: np.random.Generator) -> PoleMap:
+    n = 30
+    points = np.column_stack([np.linspace(10.0, 150.0, n), np.where(np.arange(n) % 2, 4.5, -5.0)])
+    points = points + rng.normal(0.0, 0.2, (n, 2))  # a map scatters
+    return PoleMap(
+        EarthFrame("local", name="street"), np.arange(n), points,
+        np.broadcast_to(0.04 * np.eye(2), (n, 2, 2)).copy(), np.full(n, 0.2), np.full(n, 4.0),
+        np.ones(n, np.int64), np.ones(n, np.int64), np.ones(n),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lacking_px", [-0.5, 0.0, 0.4])
+def test_what_disparities_lack_is_told_among_other_things(lacking_px: float) -> None:
+    rng = np.random.default_rng(3)
+    mapped = street(rng)
+    looks = []
+    for east in np.arange(0.0, 120.0, 1.0):
+        pose = Pose2D(float(east), 0.0, 0.0)
+        true = pose.inverse().transform(mapped.points_m)
+        true = true[(true[:, 0] > 6.0) & (true[:, 0] < 27.0)]
+        seen = with_disparity(true, -lacking_px, RIG)
+        other = np.column_stack([rng.uniform(6.0, 27.0, 12), rng.uniform(-8.0, 8.0, 12)])
+        looks.append((pose, np.concatenate([seen, other])))
+    assert offset_from_map(looks, mapped, RIG) == pytest.approx(lacking_px, abs=0.06)
+
+
+def test_too_little_tells_nothing() -> None:
+    mapped = street(np.random.default_rng(3))
+    pose = Pose2D(0.0, 0.0, 0.0)
+    assert offset_from_map([], mapped, RIG) == 0.0
+    assert offset_from_map([(pose, mapped.points_m[:3])], mapped, RIG) == 0.0
+
+
+def test_more_disparity_is_nearer_along_the_same_ray() -> None:
+    points = np.array([[20.0, 4.0], [9.0, -3.0]])
+    origin = np.array([1.9, 0.15])
+    near = with_disparity(points, 0.5, RIG)
+    share = (near - origin) / (points - origin)
+    np.testing.assert_allclose(share[:, 0], share[:, 1])
+    disparity = RIG.focal_px * RIG.baseline_m / (points[:, 0] - origin[0])
+    np.testing.assert_allclose(share[:, 0], disparity / (disparity + 0.5))
+    np.testing.assert_allclose(with_disparity(near, -0.5, RIG), points)
