@@ -41,7 +41,6 @@ def command(
     runs = [out / lap for lap in TEST_LAPS]
     shared: dict[str, Any] = {"seed": seed, "config": config, "set_values": set_values}
     begin = time.monotonic()
-    out.mkdir(parents=True, exist_ok=True)
 
     laps = 1 + len(TEST_LAPS)
     _show(f"simulate {WORLD} --out {drive} --laps {laps} --objects", seed)

@@ -45,7 +45,9 @@ def command(
     unmapped: Annotated[
         Path | None, typer.Option("--unmapped", help="Map of true poles that that map lacks.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of sensors that have to be derived.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Of sensors that have to be derived.")
+    ] = 0,
     config: ConfigOption = None,
     set_values: SetOption = None,
 ) -> None:

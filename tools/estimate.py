@@ -65,7 +65,7 @@ def command(
     set_values: Annotated[
         list[str] | None, typer.Option("--set", help="One setting, such as gyro_sd_radps=0.01.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of the derived GPS noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the derived GPS noise.")] = 0,
     listed: Annotated[bool, typer.Option("--list", help="List estimators and cars.")] = False,
 ) -> None:
     """Run a side-slip or velocity estimator on a signal log.

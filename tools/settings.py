@@ -22,7 +22,9 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", help="Override one default, such as localize.particles=500."),
 ]
-SeedOption = Annotated[int, typer.Option("--seed", help="Makes the run repeatable bit for bit.")]
+SeedOption = Annotated[
+    int, typer.Option("--seed", min=0, help="Makes the run repeatable bit for bit.")
+]
 
 
 class Settings(BaseModel):

@@ -132,3 +132,20 @@ def test_the_output_may_not_replace_the_users_folder(
     arguments = ["localize", drive, "--map", pole_map, "--out", mine]
     _refused(capsys, arguments, mine, "mine", "did not write")
     assert (mine / "thesis.tex").exists()
+
+
+@pytest.mark.parametrize("verb", [["simulate", "park_loop"], ["demo"], ["localize", "drive"]])
+def test_a_negative_seed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: list[str]
+) -> None:
+    out = tmp_path / "out"
+    _refused(
+        capsys, [*verb, "--out", out, "--seed", -1], out, "'--seed'", "greater than or equal to 0"
+    )
+
+
+def test_a_demo_where_nothing_can_be_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    _refused(capsys, ["demo", "--out", tmp_path / "file" / "demo"], tmp_path / "file", "file")
