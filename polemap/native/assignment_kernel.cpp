@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <exception>
 #include <initializer_list>
 #include <stdexcept>
 #include <string>
@@ -133,13 +134,20 @@ py::tuple pole_log_likelihood(const Doubles& poses, const Doubles& points,
   {
     py::gil_scoped_release release;
     const py::ssize_t workers = std::max<py::ssize_t>(1, std::min<py::ssize_t>(threads, n));
-    std::vector<std::thread> pool;
-    for (py::ssize_t worker = 1; worker < workers; ++worker)
-      pool.emplace_back([&, worker] {
+    std::vector<std::exception_ptr> errors(workers);
+    const auto weigh = [&](py::ssize_t worker) {
+      try {
         Weigher(problem).weigh(pose, n * worker / workers, n * (worker + 1) / workers, out);
-      });
-    Weigher(problem).weigh(pose, 0, n / workers, out);
+      } catch (...) {
+        errors[worker] = std::current_exception();
+      }
+    };
+    std::vector<std::thread> pool;
+    for (py::ssize_t worker = 1; worker < workers; ++worker) pool.emplace_back(weigh, worker);
+    weigh(0);
     for (std::thread& thread : pool) thread.join();
+    for (const std::exception_ptr& error : errors)
+      if (error) std::rethrow_exception(error);
   }
   return py::make_tuple(log_likelihood, log_fit, expected, matched, assignment);
 }
