@@ -13,20 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import RECORDINGS
 from drivelog.drive import Drive, open_drive
-from drivelog.samples import OdometrySample, StereoFrame
 from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
 from polemap.evaluation import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.io import read_map
 from polemap.landmark_map import PoleMap
 from polemap.models.io import read_classifier
-from polemap.perception import PolePerception, samples_to_see
+from polemap.perception import PolePerception, looks
 from polemap.training import Samples, TrainingConfig, collect, train
 from stereo.config import StereoConfig
 from stereo.matching import make_matcher
 
-KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_odometry"
+KITTI = RECORDINGS / "kitti_odometry"
 UNMAPPED = Path(__file__).parent / "kitti_03_unmapped_poles.csv"
 BANDS_M = [(5.0, 20.0), (5.0, 10.0), (10.0, 15.0), (15.0, 20.0)]
 
@@ -37,28 +37,21 @@ def look(drive: Drive, poles: PoleMap, model: PoleClassifier) -> list[FrameRecor
     assert drive.reference is not None
     config = PolemapConfig()
     eye = PolePerception(drive.rig, config, classifier=model)
-    records = []
-    for sample in samples_to_see(drive):
-        if isinstance(sample, OdometrySample):
-            eye.push_odometry(sample)
-        elif isinstance(sample, StereoFrame):
-            pose = drive.reference.at(np.array([sample.stamp_s]))[0]
-            seen = eye.look(sample)
-            records.append(record(seen, pose, poles, drive.rig, config.detection))
-    return records
+    return [
+        record(
+            seen,
+            drive.reference.at(np.array([seen.frame.stamp_s]))[0],
+            poles,
+            drive.rig,
+            config.detection,
+        )
+        for seen in looks(drive, eye)
+    ]
 
 
 def half_models(samples: Samples) -> list[PoleClassifier]:
     """Model k is trained without part k."""
-    models = []
-    for part in (0, 1):
-        rest = samples.group != part
-        other = Samples(
-            samples.features[rest], samples.is_pole[rest], np.zeros(rest.sum(), np.int64),
-            samples.pole[rest], (samples.groups[1 - part],),
-        )  # fmt: skip
-        models.append(train(other, TrainingConfig(), {}))
-    return models
+    return [train(samples.take(samples.group != part), TrainingConfig(), {}) for part in (0, 1)]
 
 
 def main() -> None:

@@ -23,15 +23,12 @@ import cv2
 import numpy as np
 
 import polemap.detection as detection
+from benchmarks import RECORDINGS
+from benchmarks.streets import open_street
 from drivelog.drive import open_drive
 from drivelog.samples import OdometrySample, PoleScan, StereoFrame
 from polemap.config import PolemapConfig
 from polemap.perception import PolePerception, samples_to_see
-from simulate import sensors
-from simulate.config import SimulateConfig
-from simulate.drive import Studio, make_plan
-from simulate.scenario import load_scenario
-from simulate.world import make_world
 from stereo.config import StereoConfig
 from stereo.matching import make_matcher
 from stereo.rig import StereoRig
@@ -42,7 +39,7 @@ _STAGES = (
     "upright_maps", "fit_ground", "depth_edges", "find_slices", "find_stems", "measure",
     "refine_disparity", "visible_region", "_locate", "_suppress",
 )  # fmt: skip
-_KITTI = Path(__file__).resolve().parents[2] / "shared/data/kitti_odometry/sequences/03"
+_KITTI = RECORDINGS / "kitti_odometry" / "sequences" / "03"
 _WORLDS = ("suburb", "avenue")
 _SEEDS = (511, 512)
 _BEGIN_S = 6.0  # the car has set off by then
@@ -74,15 +71,10 @@ def _recorded(path: Path) -> tuple[StereoRig, Samples]:
 
 
 def _simulated(world_name: str, seed: int, frames: int) -> tuple[StereoRig, Samples]:
-    tree = SimulateConfig().model_dump()
-    tree["camera"]["frame_rate_hz"] = _RATE_HZ
-    config = SimulateConfig.model_validate(tree)
-    world = make_world(load_scenario(world_name), seed)
-    plan = make_plan(world.route, world.scenario, 1, seed, config)
-    studio = Studio(plan, world, 1)
-    first = int(np.searchsorted(plan.frame_stamps_s, _BEGIN_S))
-    stamps = plan.frame_stamps_s[first : first + frames]
-    odometry = sensors.odometry(plan.motion, config.odometry, np.random.default_rng([seed, 22]))
+    street = open_street(world_name, seed, _RATE_HZ)
+    odometry, studio = street.odometry, street.studio
+    first = int(np.searchsorted(street.plan.frame_stamps_s, _BEGIN_S))
+    stamps = street.plan.frame_stamps_s[first : first + frames]
     samples: Samples = [
         odometry.sample(row) for row in np.flatnonzero(odometry.stamp_s <= stamps[-1]).tolist()
     ]

@@ -23,18 +23,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.streets import open_street
 from drivelog.frames import EarthFrame
 from drivelog.samples import StereoFrame
 from polemap.config import PolemapConfig
 from polemap.evaluation import FrameRecord, match, record, score_frames, score_tracks
 from polemap.landmark_map import PoleMap
 from polemap.perception import Look, PolePerception
-from simulate import sensors
-from simulate.config import SimulateConfig
-from simulate.drive import Studio, make_plan
-from simulate.scenario import load_scenario
 from simulate.truth import true_map
-from simulate.world import make_world
 from stereo.rig import StereoRig
 from vehicle.pose import Pose2D
 
@@ -52,29 +48,21 @@ def judge(job: tuple[str, int, float]) -> dict[str, float]:
     """Figures of one drive through one world."""
     name, seed, seconds = job
     cv2.setNumThreads(1)
-    tree = SimulateConfig().model_dump()
-    tree["camera"]["frame_rate_hz"] = RATE_HZ
-    tree["render"]["truth_images"] = True
-    config = SimulateConfig.model_validate(tree)
-    scenario = load_scenario(name)
-    world = make_world(scenario, seed)
-    plan = make_plan(world.route, world.scenario, 1, seed, config)
-    studio = Studio(plan, world, 1)
-    truth = true_map(world, EarthFrame("local", name=name), np.zeros(2))
+    street = open_street(name, seed, RATE_HZ, truth_images=True)
+    plan, odometry, studio = street.plan, street.odometry, street.studio
+    truth = true_map(street.world, EarthFrame("local", name=name), np.zeros(2))
     settings = PolemapConfig()
     perception = PolePerception(studio.renderer.rig, settings)
-    odometry = sensors.odometry(plan.motion, config.odometry, np.random.default_rng([seed, 22]))
-    rows = iter(range(len(odometry)))
-    row = next(rows)
+    row = 0
     records: list[FrameRecord] = []
     truly: list[FrameRecord] = []
     nees: list[float] = []
     for number, stamp in enumerate(plan.frame_stamps_s):
         if not BEGIN_S <= stamp < BEGIN_S + seconds:
             continue
-        while odometry.stamp_s[row] <= stamp:
+        while row < len(odometry) and odometry.stamp_s[row] <= stamp:
             perception.push_odometry(odometry.sample(row))
-            row = next(rows)
+            row += 1
         shot = studio.shot(number)
         look = perception.look(StereoFrame(stamp, stamp, number, shot.left, shot.right))
         pose = plan.motion.at(np.array([stamp]))[0]

@@ -8,12 +8,11 @@ pictures and truth shows a registration of windows by least squares (`benchmarks
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import RECORDINGS
 from benchmarks.registration import Windows, register, together
 from simulate.config import RenderConfig, SimulateConfig, kitti_camera
 from simulate.drive import Studio, make_plan
@@ -24,7 +23,7 @@ from stereo.config import StereoConfig
 from stereo.matching import make_matcher
 from stereo.rig import StereoRig
 
-KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_2015" / "training"
+KITTI = RECORDINGS / "kitti_2015" / "training"
 PAIRS_A_SEED = 2
 SEEDS = (11, 12, 13, 14)
 

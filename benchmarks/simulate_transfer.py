@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from sklearn.metrics import average_precision_score
 
-from benchmarks.kitti_poles import UNMAPPED
+from benchmarks.kitti_poles import KITTI, UNMAPPED
 from drivelog.drive import open_drive
 from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
@@ -29,7 +29,6 @@ from simulate.drive import simulate_drive
 from stereo.config import StereoConfig
 from stereo.matching import make_matcher
 
-KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_odometry"
 # world, pictures a second
 DRIVES = (("suburb", 0.8), ("park_loop", 1.5), ("avenue", 0.6))
 FIRST_SEEDS = (101, 201, 301)
@@ -59,14 +58,6 @@ def gather(
     return collect(drive, poles, matcher, detection, TrainingConfig(), ignore_m=ignore, parts=parts)
 
 
-def _half(samples: Samples, part: int) -> Samples:
-    own = samples.group == part
-    return Samples(
-        samples.features[own], samples.is_pole[own], np.zeros(own.sum(), np.int64),
-        samples.pole[own], (samples.groups[part],),
-    )  # fmt: skip
-
-
 def _precision(model: PoleClassifier, samples: Samples) -> float:
     return float(average_precision_score(samples.is_pole, model.probability(samples.features)))
 
@@ -82,8 +73,8 @@ def compare(real: Samples, sets: list[Samples]) -> dict[str, float]:
         "simulated_poles_share": float(np.mean(join(sets).is_pole)),
     }
     for test, direction in ((1, "trained_0_49_tested_50_98"), (0, "trained_50_98_tested_0_49")):
-        judged = _half(real, test)
-        best = _precision(train(_half(real, 1 - test), config, {}), judged)
+        judged = real.take(real.group == test)
+        best = _precision(train(real.take(real.group != test), config, {}), judged)
         ratios = np.array([_precision(model, judged) for model in models]) / best
         result |= {
             f"{direction}_real_ap": best,

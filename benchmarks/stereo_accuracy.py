@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import RECORDINGS
 from benchmarks.stereo_curves import fitted_law, signs
 from benchmarks.stereo_pairs import Pair, read_pairs
 from benchmarks.stereo_scenes import PoleScore, rendered_scene, score_poles
@@ -26,8 +27,6 @@ from stereo.config import StereoConfig
 from stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
 from stereo.matching import StereoMatcher, make_matcher
 from stereo.trust import TrustLaw
-
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def rate(pairs: list[Pair], maps: list[NDArray[np.float32]]) -> dict[str, float]:
@@ -127,7 +126,7 @@ def run() -> dict[str, dict[str, float]]:
     chosen = {name: config for name, config in variants().items() if name.startswith("census")}
     chosen["opencv 3way none 5 16"] = variants()["opencv 3way none 5 16"]
     for folder in ("kitti_2015", "kitti_raw", "middlebury"):
-        pairs = list(read_pairs(SHARED / folder)) if (SHARED / folder).exists() else []
+        pairs = list(read_pairs(RECORDINGS / folder)) if (RECORDINGS / folder).exists() else []
         for name, config in chosen.items() if pairs else ():
             results[f"{folder} {name}"] = score(make_matcher(config), pairs)
     for name, config in chosen.items():

@@ -16,12 +16,12 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from itertools import repeat
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from benchmarks import RECORDINGS
 from benchmarks.particle_filter_recovery import A_THIRD_OF_THE_NOISE
 from drivelog.drive import Drive, open_drive
 from drivelog.samples import PoleScan
@@ -34,7 +34,7 @@ from polemap.perception import scan_drive
 
 Floats = NDArray[np.float64]
 
-DRIVE = Path(__file__).parents[2] / "shared" / "data" / "victoria_park" / "drive"
+DRIVE = RECORDINGS / "victoria_park" / "drive"
 NEAR_M, NEAR_TREES = 30.0, 3
 SETTLED_S = 5.0
 OFF_M = 1.0

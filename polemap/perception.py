@@ -242,6 +242,15 @@ def scan_drive(
     return scans
 
 
+def looks(drive: Drive, perception: PolePerception) -> Iterator[Look]:
+    """All that a drive's frames show, one after the other."""
+    for sample in samples_to_see(drive):
+        if isinstance(sample, OdometrySample):
+            perception.push_odometry(sample)
+        elif isinstance(sample, StereoFrame):
+            yield perception.look(sample)
+
+
 def samples_to_see(drive: Drive) -> Iterator[OdometrySample | StereoFrame | PoleScan]:
     """Odometry and frames (or scans, where there are no frames) in the order of their stamps.
 

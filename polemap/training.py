@@ -70,6 +70,12 @@ class Samples:
     def __len__(self) -> int:
         return len(self.is_pole)
 
+    def take(self, rows: NDArray[np.bool_]) -> Samples:
+        """The chosen rows; groups keep their numbers."""
+        return Samples(
+            self.features[rows], self.is_pole[rows], self.group[rows], self.pole[rows], self.groups
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
@@ -207,15 +213,9 @@ def cross_validate(samples: Samples, config: TrainingConfig) -> Floats:
     probability = np.full(len(samples), np.nan)
     for group in range(len(samples.groups)):
         held = samples.group == group
-        rest = Samples(
-            samples.features[~held],
-            samples.is_pole[~held],
-            samples.group[~held],
-            samples.pole[~held],
-            samples.groups,
-        )
         if held.any():
-            probability[held] = train(rest, config, {}).probability(samples.features[held])
+            model = train(samples.take(~held), config, {})
+            probability[held] = model.probability(samples.features[held])
     return probability
 
 

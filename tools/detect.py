@@ -15,11 +15,10 @@ from rich.table import Table
 from drivelog.atomic import atomic_folder
 from drivelog.drive import Drive, open_drive
 from drivelog.errors import ConfigError, InputError
-from drivelog.samples import OdometrySample, StereoFrame
 from polemap.evaluation import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.io import read_map
 from polemap.landmark_map import PoleMap
-from polemap.perception import Look, PolePerception, samples_to_see
+from polemap.perception import Look, PolePerception, looks
 from tools.detect_pictures import write_overlay
 from tools.progress import progress
 from tools.settings import ConfigOption, SetOption, Settings, load_settings
@@ -117,15 +116,10 @@ def _look(
     ):
         table = csv.writer(file)
         table.writerow(_COLUMNS)
-        for sample in samples_to_see(part):
-            if isinstance(sample, OdometrySample):
-                perception.push_odometry(sample)
-                continue
-            if not isinstance(sample, StereoFrame):
-                continue
-            look = perception.look(sample)
+        for look in looks(part, perception):
+            frame = look.frame
             table.writerows(_rows(look))
-            pose = drive.reference.at(np.array([sample.stamp_s]))[0] if drive.reference else None
+            pose = drive.reference.at(np.array([frame.stamp_s]))[0] if drive.reference else None
             placed = pose is not None and bool(np.isfinite(pose).all())
             mapped = None
             if known is not None and pose is not None and placed:
@@ -133,7 +127,7 @@ def _look(
                 near = known.within(pose[:2], 40.0)
                 mapped = Pose2D(*pose).inverse().transform(known.points_m[near])
             if pictures:
-                name = folder / f"{sample.index:06d}.png"
+                name = folder / f"{frame.index:06d}.png"
                 sure = settings.polemap.detection.probability_min
                 write_overlay(name, look, rig, sure, mapped)
             advance(1)

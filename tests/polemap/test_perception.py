@@ -18,7 +18,7 @@ from polemap.evaluation import evidence, match, record, score_frames, score_trac
 from polemap.ground import ground_from_mounting
 from polemap.io import read_map
 from polemap.landmark_map import PoleMap
-from polemap.perception import PolePerception, samples_to_see, scan_drive
+from polemap.perception import PolePerception, looks, scan_drive
 from polemap.training import TrainingConfig, collect
 from stereo.config import StereoConfig
 from stereo.matching import DisparityPair, make_matcher
@@ -146,13 +146,9 @@ def test_real_street_against_its_lidar_map(recording: Callable[[str], Path]) -> 
     part = drive.between(stamps[22], stamps[38])
     perception = PolePerception(drive.rig, PolemapConfig())
     records = []
-    for sample in samples_to_see(part):
-        if isinstance(sample, OdometrySample):
-            perception.push_odometry(sample)
-        elif isinstance(sample, StereoFrame):
-            pose = drive.reference.at(np.array([sample.stamp_s]))[0]
-            look = perception.look(sample)
-            records.append(record(look, pose, known, drive.rig, DetectionConfig()))
+    for look in looks(part, perception):
+        pose = drive.reference.at(np.array([look.frame.stamp_s]))[0]
+        records.append(record(look, pose, known, drive.rig, DetectionConfig()))
     (frames,) = score_frames(records, known, [(5.0, 20.0)])
     figures = frames.figures()
     assert frames.shown > 15
