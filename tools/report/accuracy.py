@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +74,45 @@ def summary(errors: Errors) -> dict[str, float]:
         result[f"{name}_p95_{unit}"] = float(np.quantile(size, 0.95))
     result["lateral_mean_m"] = float(np.mean(errors.lateral_m))
     result["longitudinal_mean_m"] = float(np.mean(errors.longitudinal_m))
+    return result
+
+
+def settled_summary(parts: Sequence[Errors], settled_s: Sequence[float]) -> dict[str, float]:
+    """The summary over all recordings, and `settled_...` for what follows each one's start-up."""
+    settled = [one.after(stamp_s) for one, stamp_s in zip(parts, settled_s, strict=True)]
+    later = summary(_joined(settled))
+    return {
+        **summary(_joined(parts)),
+        **{f"settled_{key}": value for key, value in later.items() if "_rmse_" in key},
+    }
+
+
+def _joined(parts: Sequence[Errors]) -> Errors:
+    names = ("stamp_s", "lateral_m", "longitudinal_m", "yaw_rad")
+    return Errors(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+
+
+def all_blocks(
+    per_run: Sequence[Sequence[Errors]], spans_s: Sequence[tuple[float, float]]
+) -> dict[str, Blocks]:
+    """`error_blocks` of every kind, recording after recording; empty without runs.
+
+    Args:
+        per_run: the errors of each recording, run by run.
+        spans_s: first and last stamp of each recording.
+    """
+    if not per_run:
+        return {}
+    result = {}
+    for kind in ("lateral_m", "longitudinal_m", "position_m", "yaw_rad"):
+        parts = [
+            error_blocks([run[number] for run in per_run], kind, *span)
+            for number, span in enumerate(spans_s)
+        ]
+        result[kind] = Blocks(
+            np.concatenate([p.squares for p in parts], axis=1),
+            np.concatenate([p.weights for p in parts], axis=1),
+        )
     return result
 
 

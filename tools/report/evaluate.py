@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.report.accuracy import Errors, error_blocks, errors_against, summary
+from tools.report.accuracy import Errors, all_blocks, errors_against, settled_summary
 from tools.report.bootstrap import Blocks
 from tools.report.exclusions import (
     Exclusion,
@@ -234,6 +234,9 @@ def _evaluate(
             [errors_against(track, goal) for track, goal in zip(tracks, goals, strict=True)]
             for tracks in system.tracks
         ]
+    settled = [one.settled_s for one in route.recordings]
+    guides_s = [one.guide.stamp_s for one in route.recordings]
+    spans = [(float(stamps[0]), float(stamps[-1])) for stamps in guides_s] if per_run else []
     return SystemResult(
         system=system,
         repeatability=tuple(repeated),
@@ -241,9 +244,9 @@ def _evaluate(
         example=tuple(example),
         blocks=Blocks(np.array(squares), np.array(weights)),
         true_lateral_rms_m=tuple(true_rms),
-        accuracy=tuple(_accuracy(one, route.recordings) for one in per_run),
+        accuracy=tuple(settled_summary(one, settled) for one in per_run),
         errors=tuple(per_run[0]) if per_run else (),
-        error_blocks=_error_blocks(per_run, [one.guide for one in route.recordings]),
+        error_blocks=all_blocks(per_run, spans),
     )
 
 
@@ -257,48 +260,6 @@ def _road_blocks(parts: Sequence[Deviations]) -> tuple[Floats, Floats]:
         squares.append(np.bincount(block, (centred**2).sum(axis=0)).astype(np.float64))
         weights.append(np.bincount(block, freedom).astype(np.float64))
     return np.concatenate(squares), np.concatenate(weights)
-
-
-def _error_blocks(per_run: list[list[Errors]], guides: Sequence[Trajectory]) -> dict[str, Blocks]:
-    if not per_run:
-        return {}
-    result = {}
-    for kind in ("lateral_m", "longitudinal_m", "position_m", "yaw_rad"):
-        parts = [
-            error_blocks(
-                [run[number] for run in per_run],
-                kind,
-                float(guide.stamp_s[0]),
-                float(guide.stamp_s[-1]),
-            )
-            for number, guide in enumerate(guides)
-        ]
-        result[kind] = Blocks(
-            np.concatenate([p.squares for p in parts], axis=1),
-            np.concatenate([p.weights for p in parts], axis=1),
-        )
-    return result
-
-
-def _accuracy(errors: Sequence[Errors], recordings: Sequence[Recording]) -> dict[str, float]:
-    """The summary over everything, and `settled_...` for what follows the start-up."""
-    settled = [
-        one.after(recording.settled_s) for one, recording in zip(errors, recordings, strict=True)
-    ]
-    later = summary(_join(settled))
-    return {
-        **summary(_join(errors)),
-        **{f"settled_{key}": value for key, value in later.items() if "_rmse_" in key},
-    }
-
-
-def _join(errors: Sequence[Errors]) -> Errors:
-    return Errors(
-        *(
-            np.concatenate([getattr(one, name) for one in errors])
-            for name in ("stamp_s", "lateral_m", "longitudinal_m", "yaw_rad")
-        )
-    )
 
 
 def _rms(parts: Sequence[Floats]) -> float:
