@@ -26,7 +26,7 @@ _SHORT_TERM_SHARE = 0.5  # the part of the receiver's error that differs from fi
 _STRAY_S = 2.0
 _DRIFT_SHARE = 0.02
 _SAME_PLACE_M = 1.0
-_WIDE_SD = 20.0
+_WIDE_SD = 20.0  # of an outlier, in standard deviations of the pose
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,7 @@ Floats = NDArray[np.float64]
 _RESTART_SHARE = 0.75
 _FIRST_SHARE = 0.2
 _DOUBT_INTERVALS = 4.0
+_SURE_SD_M = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +171,10 @@ class ParticleFilter:
             event = self._recover(scan, reckoned)
         estimate = self._estimate(scan, event, step)
         cloud.resample(estimate.health.n_eff)
-        self._trusted = estimate.healthy and estimate.health.position_sd_major_m < 0.5
-        self._calibration.learn(
-            stamp, estimate.pose, estimate.covariance, self._held_by_poles(estimate)
-        )
+        # what the poles correct teaches something only where the pose is sure
+        self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
+        held = self._trusted and estimate.health.matched >= 2
+        self._calibration.learn(stamp, estimate.pose, estimate.covariance, held)
         return estimate
 
     def _weigh_scan(self, scan: PoleScan, share: float) -> None:
@@ -314,7 +315,3 @@ class ParticleFilter:
             possible=min(float(len(scan)), fit.expected),
             moved_m=step.moved_m,
         )
-
-    def _held_by_poles(self, estimate: PfEstimate) -> bool:
-        health = estimate.health
-        return estimate.healthy and health.matched >= 2 and health.position_sd_major_m < 0.5

@@ -110,7 +110,7 @@ class Relocation:
         return "open"
 
     def _enough(self, gnss: GnssPose | None) -> int:
-        """Poles that a constellation must hold to be a proof."""
+        """Poles that a constellation must hold to be a proof; one more without a heading."""
         known = gnss is not None and gnss.heading_known
         return self._config.constellation_min_poles + (not known)
 
@@ -136,7 +136,9 @@ class Relocation:
     ) -> Candidates:
         config = self._config
         points = self._memory.around(reckoned)
-        if len(points) < self._enough(gnss) - (gnss is not None):
+        # one less than a proof where a fix narrows the search: without one, chance matches abound
+        least = self._enough(gnss) if gnss is None else self._enough(gnss) - 1
+        if len(points) < least:
             return _NO_CANDIDATES
         reach = np.inf
         if gnss is not None:
@@ -144,8 +146,7 @@ class Relocation:
         return self._index.find(
             points,
             tolerance_m=config.constellation_tolerance_m,
-            # without a heading, and the more in the whole map, there are more chance matches
-            min_poles=self._enough(gnss) - (gnss is not None),
+            min_poles=least,
             rng=rng,
             centre_m=None if gnss is None else gnss.pose[:2],
             reach_m=reach,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from localize.config import LocalizeConfig
 from localize.relocation import Verdict
 
+_HOPE = 0.5  # where fewer matches could be hoped for, none says nothing
+
 
 class StartProof:
     """Collects what speaks for and against the place that the cloud has chosen after a start.
@@ -71,6 +73,3 @@ class StartProof:
         elif possible > _HOPE:
             self._upheld_m = max(0.0, self._upheld_m - moved_m)
         self.proven |= verdict == "confirmed" or self._upheld_m >= self._config.proven_after_m
-
-
-_HOPE = 0.5  # where fewer matches could be hoped for, none says nothing

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap import feature_products
-from polemap.flanks import sharpen
+from polemap.flanks import INSIDE, sharpen
 from polemap.ground import Ground
 from polemap.hypotheses import Stems
 from stereo.depth_edges import UprightMaps
@@ -23,7 +23,6 @@ from stereo.rig import StereoRig
 Floats = NDArray[np.float64]
 
 HEIGHTS_M = np.arange(0.2, 3.3, 0.15)
-INSIDE = np.array([-0.25, 0.0, 0.25])  # of the width
 BESIDE_M = np.array([0.12, 0.25, 0.45, 0.75])  # beyond the flank
 _PARTS = (len(INSIDE), len(INSIDE) + len(BESIDE_M))  # samples inside, right, left
 _ABOVE_M = np.array([0.15, 0.3, 0.45, 0.6])  # beyond the top

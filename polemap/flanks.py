@@ -15,7 +15,7 @@ _REACH_PX = 5
 _OFFSETS = np.arange(-_REACH_PX - 1, _REACH_PX + 2)
 _NEARNESS = np.exp(-0.5 * (np.arange(-_REACH_PX, _REACH_PX + 1) / 2.5) ** 2)
 _SIDES = np.array([-0.5, 0.5])[:, None, None]
-_INSIDE = np.array([-0.25, 0.0, 0.25])  # of the width
+INSIDE = np.array([-0.25, 0.0, 0.25])  # of the width, where the stem itself is sampled
 
 
 def sharpen(
@@ -71,7 +71,7 @@ def _smoothness(
 ) -> Floats:
     """Mean step of the grey value from row to row inside the stem, against the contrast."""
     width = image.shape[1]
-    u = np.rint(centre[:, :, None] + _INSIDE * stems.width_px[:, None, None]).astype(np.int64)
+    u = np.rint(centre[:, :, None] + INSIDE * stems.width_px[:, None, None]).astype(np.int64)
     u = np.minimum(np.maximum(u, 0), width - 1)
     grey = image.ravel().take(v[:, :, None] * width + u).astype(np.float64)
     step = np.abs(grey[:, 1:] - grey[:, :-1]).mean(axis=(1, 2))
