@@ -1,9 +1,7 @@
 """What a hypothesis looks like, in metric units, so that one classifier serves many cameras.
 
-Around every hypothesis the disparity is sampled on a grid of metres: heights above the local
-ground, and offsets inside and beside the stem. Every sample says whether the stem's own surface,
-something nearer, something farther or nothing was measured there. Left of the stem the right map
-is asked, right of it the left map: each sees past its own flank (see `stereo.depth_edges`).
+What stands at and around it (see `surroundings`), its own shape and its place in the image make the
+single features; `feature_products` adds what they tell together.
 """
 
 from __future__ import annotations
@@ -14,20 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap import feature_products
-from polemap.flanks import INSIDE, sharpen
+from polemap.flanks import sharpen
 from polemap.ground import Ground
 from polemap.hypotheses import Stems
+from polemap.surroundings import HEIGHTS_M, Place, Surroundings, look_around
 from stereo.depth_edges import UprightMaps
 from stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
-
-HEIGHTS_M = np.arange(0.2, 3.3, 0.15)
-BESIDE_M = np.array([0.12, 0.25, 0.45, 0.75])  # beyond the flank
-_PARTS = (len(INSIDE), len(INSIDE) + len(BESIDE_M))  # samples inside, right, left
-_ABOVE_M = np.array([0.15, 0.3, 0.45, 0.6])  # beyond the top
-_CLEAR_PX = 2.5  # matchers blur a flank by about so much
-_FAR_M = 0.5  # depth difference that counts as free
 
 _SINGLE = (
     "log_height",  # upright extent with both flanks
@@ -68,8 +60,7 @@ _SINGLE = (
     "above_same",  # those with the stem's own depth
 )
 NAMES = (*_SINGLE, *feature_products.names(_SINGLE))
-_CLEAR, _CLEAR_LOW, _ON, _VISIBLE = 11, 12, 13, 14  # rows of the counts
-_SHARE_OF = [_CLEAR, _CLEAR_LOW, _ON, _ON, _ON, _ON, _ON, _VISIBLE, _ON, _ON, _ON]
+_LOW_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,133 +98,112 @@ def measure(
     rig: StereoRig,
 ) -> Profiles:
     """Features and refined geometry of every hypothesis."""
-    n = len(stems)
-    per_m = stems.disparity_px / rig.baseline_m  # pixels a metre at the stem
     left_px, right_px, flank_sd, edge_left, edge_right, smooth = sharpen(stems, image)
-    width_px = np.maximum(right_px - left_px, 0.5)
-    shift = 0.5 * (left_px + right_px) - stems.column_px
     ground_row = ground.row_px(stems.column_px, stems.disparity_px)
-
-    # the heights of the stem, and some right above its top
-    rows = np.concatenate(
-        [
-            ground_row[:, None] - HEIGHTS_M * per_m[:, None],
-            stems.top_px[:, None] - _ABOVE_M * per_m[:, None],
-        ],
-        axis=1,
-    )
-    centre = (stems.column_px + shift)[:, None] + stems.slope[:, None] * (
-        rows - stems.row_px[:, None]
-    )
-    tolerance = 0.8 + 0.3 * stems.disparity_px**2 / (rig.focal_px * rig.baseline_m)
-    free_px = np.maximum(_FAR_M * stems.disparity_px**2 / (rig.focal_px * rig.baseline_m), 0.8)
-    d = stems.disparity_px[:, None, None]
-    out = (width_px[:, None] / 2 + _CLEAR_PX + BESIDE_M * per_m[:, None])[:, None, :]
-    middle = centre[:, :, None]
-    inside_at = middle + INSIDE * width_px[:, None, None]
-    at = np.concatenate([inside_at, middle + out, middle - d - out], axis=2)
-    samples = _sample(maps, rows / maps.row_step_px, at)
-    above = samples[:, len(HEIGHTS_M) :, 1]  # on the centre line
-    seen_above = np.maximum((rows[:, len(HEIGHTS_M) :] >= 0).sum(axis=1), 1)
-    rows, samples = rows[:, : len(HEIGHTS_M)], samples[:, : len(HEIGHTS_M)]
-    inside, right, left = np.split(samples, _PARTS, axis=2)
-    tol, free = tolerance[:, None, None], free_px[:, None, None]
-    height, width = maps.height_px, maps.left.shape[1]
-    visible = (rows >= 0) & (rows <= height - 1)
-    with np.errstate(invalid="ignore"):
-        match = np.abs(inside - d) <= tol
-        on = (match.sum(axis=2) >= 2) & visible
-        hidden = ((inside > d + tol).sum(axis=2) >= 2) & visible
-        free_left, free_right = left < d - free, right < d - free
-        near_beside = ((left > d + tol) | (right > d + tol)).any(axis=2)
-        one, two = left[..., :3], right[..., :3]
-        same_beside = ((np.abs(one - d) <= tol) | (np.abs(two - d) <= tol)).any(axis=2)
-        blank_beside = np.isnan(one).all(axis=2) | np.isnan(two).all(axis=2)
-        above_free = (above < (d - free)[..., 0]).sum(axis=1) / seen_above
-        above_same = (np.abs(above - d[..., 0]) <= tol[..., 0]).sum(axis=1) / seen_above
-    both = on & free_left[..., :3].any(axis=2) & free_right[..., :3].any(axis=2)
-    clear, low = visible & ~hidden, HEIGHTS_M <= 1.0
-    # heights that have something, then those of which they are a share
-    lines = [on & clear, on & clear & low, both]
-    lines += [on & f[..., k] for k in (0, 3) for f in (free_left, free_right)]
-    lines += [hidden, on & near_beside, on & same_beside, on & blank_beside]
-    lines += [clear, clear & low, on, visible]
-    counts = np.concatenate(lines).reshape(len(lines), n, len(HEIGHTS_M)).sum(axis=2)
-    shares = counts[:11] / np.maximum(counts[_SHARE_OF], 1)
-
-    samples = np.where(match & on[..., None], inside, np.nan)
-    samples = samples.reshape(n, len(HEIGHTS_M) * len(INSIDE))
-    refined, scatter, count = _robust(samples, stems.disparity_px)
-    base_m = (ground_row - stems.bottom_px) / per_m
-    top_m = (ground_row - stems.top_px) / per_m
-    extent_m = np.maximum(top_m - base_m, 0.05)
-    width_m = width_px / per_m
-    range_m = rig.focal_px * rig.baseline_m / stems.disparity_px
-    slices_full = np.maximum((stems.bottom_px - stems.top_px) / maps.row_step_px + 1.0, 1.0)
-    lateral = (stems.column_px - rig.cx_px) / rig.focal_px * range_m
-    close = (np.abs(lateral[:, None] - lateral) < 1.5) & (np.abs(range_m[:, None] - range_m) < 2.0)
-    border = (left_px < 3.0 + stems.disparity_px) | (right_px > width - 4.0)
-    far = np.maximum(np.stack([stems.far_left_px, stems.far_right_px]), 1.0)
-    behind_m = rig.focal_px * rig.baseline_m / far - range_m
-    columns = (
-        np.log(0.1 + 0.15 * counts[2]),
-        np.log(0.1 + 0.15 * _longest_run(both)),
-        *shares[:9],
-        np.clip(base_m, -0.5, 3.0),
-        np.clip(top_m, 0.0, 4.0),
-        width_m,
-        width_m**2,
-        np.log(extent_m / np.maximum(width_m, 0.03)),
-        np.abs(stems.slope),
-        stems.centre_sd_px / (0.5 + 0.2 * width_px),
-        stems.width_sd_px / (0.5 + 0.2 * width_px),
-        np.minimum(scatter / tolerance, 2.0),
-        np.minimum(stems.slices / slices_full, 1.0),
-        stems.occluding_left,
-        stems.occluding_right,
-        *np.log1p(np.minimum(np.maximum(behind_m, 0.05), 30.0)),
-        edge_left,
-        edge_right,
-        smooth,
-        range_m / 10.0,
-        np.log(width_px),
-        np.log(close.sum(axis=1)),
-        border.astype(np.float64),
-        *shares[9:],
-        above_free,
-        above_same,
-    )
-    products = feature_products.products(dict(zip(_SINGLE, columns, strict=True)))
+    place = Place.of(stems, left_px, right_px, ground_row, rig)
+    around = look_around(stems, place, maps)
+    refined, scatter, count = _robust(around.own_px, stems.disparity_px)
+    border = (left_px < 3.0 + stems.disparity_px) | (right_px > maps.left.shape[1] - 4.0)
+    single = {
+        **_evidence(around),
+        **_shape(stems, place, maps.row_step_px),
+        **_situation(stems, rig),
+        "depth_scatter": np.minimum(scatter / place.tolerance_px, 2.0),
+        "edge_left": edge_left,
+        "edge_right": edge_right,
+        "smooth": smooth,
+        "border": border.astype(np.float64),
+    }
     foot_row = ground.row_px(stems.column_px, refined)
-    foot_column = stems.column_px + shift + stems.slope * (foot_row - stems.row_px)
     return Profiles(
-        features=np.concatenate([*columns, *products.values()]).reshape(len(NAMES), n).T.copy(),
+        features=_in_order(single),
         left_px=left_px,
         right_px=right_px,
-        foot_column_px=foot_column,
+        foot_column_px=place.axis_px + stems.slope * (foot_row - stems.row_px),
         foot_row_px=foot_row,
         disparity_px=refined,
         disparity_sd_px=scatter / np.sqrt(np.maximum(count / 3.0, 1.0)),
         flank_sd_px=flank_sd,
-        top_m=top_m,
+        top_m=(ground_row - stems.top_px) / place.per_m,
         border=border,
     )
 
 
-def _sample(maps: UprightMaps, rows: Floats, columns: Floats) -> Floats:
-    """Nearest disparity at `rows` `(n, h)` and `columns` `(n, h, k)`; NaN where there is none.
+def _evidence(around: Surroundings) -> dict[str, Floats]:
+    """Features of what the heights show, mostly as the share of those that could show it."""
+    on, visible, both = around.on, around.visible, around.free_both
+    clear, low = visible & ~around.hidden, HEIGHTS_M <= _LOW_M
+    near, wide = 0, 3  # offsets beside the stem
+    share_of = {  # heights that show it, and heights of which they are a share
+        "on_share": (on & clear, clear),
+        "on_low": (on & clear & low, clear & low),
+        "free_both": (both, on),
+        "free_left_near": (on & around.free_left[..., near], on),
+        "free_right_near": (on & around.free_right[..., near], on),
+        "free_left_wide": (on & around.free_left[..., wide], on),
+        "free_right_wide": (on & around.free_right[..., wide], on),
+        "hidden_share": (around.hidden, visible),
+        "near_beside": (on & around.near_beside, on),
+        "same_beside": (on & around.same_beside, on),
+        "blank_beside": (on & around.blank_beside, on),
+    }
+    # all at once: counting each for itself would take several times as long
+    parts, wholes = zip(*share_of.values(), strict=True)
+    stacked = np.concatenate([*parts, *wholes]).reshape(2, len(share_of), *on.shape)
+    count, whole = stacked.sum(axis=3)
+    return {
+        **dict(zip(share_of, count / np.maximum(whole, 1), strict=True)),
+        "log_height": np.log(0.1 + 0.15 * both.sum(axis=1)),
+        "log_run": np.log(0.1 + 0.15 * _longest_run(both)),
+        "above_free": around.above_free,
+        "above_same": around.above_same,
+    }
 
-    The columns left of the stem are those of the right map, the others of the left one.
-    """
-    height, width = maps.left.shape
-    v = np.rint(rows).astype(np.int64)[:, :, None]
-    u = np.rint(columns).astype(np.int64)
-    within = (v >= 0) & (v < height) & (u >= 0) & (u < width)
-    at = np.where(within, v * width + u, 0)
-    left = maps.left.ravel().take(at[:, :, : _PARTS[1]])
-    right = maps.right.ravel().take(at[:, :, _PARTS[1] :])
-    value = np.concatenate([left, right], axis=2)
-    return np.where(within & (value > 0), value, np.nan).astype(np.float64)
+
+def _shape(stems: Stems, place: Place, row_step_px: int) -> dict[str, Floats]:
+    """Features of size, straightness and completeness."""
+    base_m = (place.ground_row_px - stems.bottom_px) / place.per_m
+    top_m = (place.ground_row_px - stems.top_px) / place.per_m
+    width_m = place.width_px / place.per_m
+    slices_full = np.maximum((stems.bottom_px - stems.top_px) / row_step_px + 1.0, 1.0)
+    return {
+        "base_m": np.clip(base_m, -0.5, 3.0),
+        "top_m": np.clip(top_m, 0.0, 4.0),
+        "width_m": width_m,
+        "width_square": width_m**2,
+        "thinness": np.log(np.maximum(top_m - base_m, 0.05) / np.maximum(width_m, 0.03)),
+        "lean": np.abs(stems.slope),
+        "wobble": stems.centre_sd_px / (0.5 + 0.2 * place.width_px),
+        "width_scatter": stems.width_sd_px / (0.5 + 0.2 * place.width_px),
+        "fill": np.minimum(stems.slices / slices_full, 1.0),
+        "pixels": np.log(place.width_px),
+    }
+
+
+def _situation(stems: Stems, rig: StereoRig) -> dict[str, Floats]:
+    """Features of how far it stands, before what, and beside how many others."""
+    range_m = rig.focal_px * rig.baseline_m / stems.disparity_px
+    far = np.maximum(np.stack([stems.far_left_px, stems.far_right_px]), 1.0)
+    behind_m = rig.focal_px * rig.baseline_m / far - range_m
+    step_left, step_right = np.log1p(np.minimum(np.maximum(behind_m, 0.05), 30.0))
+    lateral_m = (stems.column_px - rig.cx_px) / rig.focal_px * range_m
+    aside = np.abs(lateral_m[:, None] - lateral_m) < 1.5
+    close = aside & (np.abs(range_m[:, None] - range_m) < 2.0)
+    return {
+        "occluding_left": stems.occluding_left,
+        "occluding_right": stems.occluding_right,
+        "step_left": step_left,
+        "step_right": step_right,
+        "range_m": range_m / 10.0,
+        "neighbours": np.log(close.sum(axis=1)),
+    }
+
+
+def _in_order(single: dict[str, Floats]) -> Floats:
+    """All features `(n, len(NAMES))`, from the single ones by name."""
+    ordered = {name: single[name] for name in _SINGLE}
+    every = [*ordered.values(), *feature_products.products(ordered).values()]
+    return np.concatenate(every).reshape(len(NAMES), -1).T.copy()
 
 
 def _robust(samples: Floats, fallback: Floats) -> tuple[Floats, Floats, Floats]:

@@ -7,10 +7,12 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from polemap import features, flanks
-from polemap.features import HEIGHTS_M, INSIDE, NAMES, measure
+from polemap import flanks, surroundings
+from polemap.features import NAMES, Profiles, measure
+from polemap.flanks import INSIDE
 from polemap.ground import Ground, ground_from_mounting
 from polemap.hypotheses import Stems
+from polemap.surroundings import HEIGHTS_M
 from stereo.depth_edges import UprightMaps, upright_maps
 from stereo.matching import DisparityPair
 from tests.polemap.street import RIG
@@ -94,7 +96,7 @@ def _at(disparity: np.ndarray, row: float, column: float) -> float:
 
 
 def _shares(
-    found: features.Profiles, stems: Stems, maps: UprightMaps, ground: Ground, row: int
+    found: Profiles, stems: Stems, maps: UprightMaps, ground: Ground, row: int
 ) -> dict[str, float]:
     """The features that count heights, of one stem, height by height."""
     d = stems.disparity_px[row]
@@ -107,7 +109,7 @@ def _shares(
     for height_m in HEIGHTS_M:
         v = foot - height_m * per_m
         u = centre + stems.slope[row] * (v - stems.row_px[row])
-        out = width / 2 + features._CLEAR_PX + features.BESIDE_M * per_m
+        out = width / 2 + surroundings.CLEAR_PX + surroundings.BESIDE_M * per_m
         v_map = v / maps.row_step_px
         inside = np.array([_at(maps.left, v_map, u + part * width) for part in INSIDE])
         right = np.array([_at(maps.left, v_map, u + o) for o in out])
@@ -130,7 +132,7 @@ def _shares(
     pairs |= {"hidden_share": (hidden, visible)}
     shares = {name: np.sum(one & of) / max(np.sum(of), 1) for name, (one, of) in pairs.items()}
     above = []
-    rows = [stems.top_px[row] - up_m * per_m for up_m in features._ABOVE_M]
+    rows = [stems.top_px[row] - up_m * per_m for up_m in surroundings.ABOVE_M]
     for v in rows:
         u = centre + stems.slope[row] * (v - stems.row_px[row])
         above.append(_at(maps.left, v / maps.row_step_px, u))
