@@ -3,9 +3,10 @@
 A camera that is turned out of true by some hundredths of a degree about the upright axis
 measures every disparity too large or too small by the same tenths of a pixel. Near poles hardly
 show it, far ones stand decimetres off: range is wrong by range^2 / (focal length x baseline) a
-pixel, so a pole that stands still seems to move while the car drives toward it. All sightings of a
-track give its place and the offset by least squares; the offsets of the tracks are averaged by
-their information.
+pixel, so a pole that stands still seems to move while the car drives toward it. An odometry that
+tells too long or too short a way moves it alike, so the odometry's scale is solved along with the
+offset. All sightings of a track give its place, offset and scale by least squares; what the tracks
+say of the latter two is averaged by their information.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Floats = NDArray[np.float64]
 
 _OVER_S = 1.0  # not seen for so long, a track is over
 _LEAST_SPAN_M = 1.5
-_LEAST_VARIANCE = 1e-12
+_LEAST_VARIANCE = 1e-12  # keeps what is known for sure, or did not change, from dividing by zero
 _STEM_SD_PX = 0.15  # measured on simulated stems; leaves and thin posts have more
 _LARGEST_SD = 3.0  # a track that contradicts the others by more was mixed up
 
@@ -40,6 +41,24 @@ class _Sum:
     farthest_m: float = 0.0
     confirmed: bool = False
     seen_s: float = 0.0
+
+    def add(self, place_m: Floats, design: Floats, covariance_m2: Floats, share: float) -> None:
+        """Add a sighting that says: `place_m` `(2,)` is `design` `(2, 4)` times the unknowns.
+
+        Args:
+            covariance_m2: `(2, 2)` of the place.
+            share: the part of an independent sighting that it is worth.
+        """
+        weight = share * np.linalg.inv(covariance_m2)
+        self.information += design.T @ weight @ design
+        self.weighted += design.T @ weight @ place_m
+
+    def note(self, stamp_s: float, away_m: float, confirmed: bool) -> None:
+        """Keep when and from how far it was seen, and whether the track was sure by then."""
+        self.nearest_m = min(self.nearest_m, away_m)
+        self.farthest_m = max(self.farthest_m, away_m)
+        self.confirmed |= confirmed
+        self.seen_s = stamp_s
 
 
 class DisparityOffset:
@@ -104,39 +123,41 @@ class DisparityOffset:
         time_s = self._config.error_time_s
         # errors of a stem last: a frame is worth as much as its part of two correlation times
         share = min(1.0, elapsed_s / (2.0 * time_s)) if time_s > 0 else 1.0
-        c, s = np.cos(self._pose[2]), np.sin(self._pose[2])
-        turn = np.array([[c, -s], [s, c]])
         for row in np.flatnonzero(tracks.detection >= 0):
-            which = tracks.detection[row]
-            point = sighting.points_vehicle_m[which]
-            away = float(np.hypot(*(point - self._origin_m)))
-            step = turn @ self.per_px(point[np.newaxis])[0]
+            which = int(tracks.detection[row])
+            away_m = float(np.hypot(*(sighting.points_vehicle_m[which] - self._origin_m)))
             total = self._sums.get(int(tracks.ids[row]))
             if total is None:
                 total = self._sums[int(tracks.ids[row])] = _Sum(
                     self._pose[:2].copy(), sighting.stamp_s
                 )
-            travel = self._pose[:2] - total.start_m
-            design = np.column_stack([np.eye(2), -step, -travel])
-            placed = self._pose[:2] + turn @ point - step * self.value_px
-            aside = np.array([-step[1], step[0]]) / np.hypot(*step)
-            turned = self._config.yaw_rate_sd_radps * (sighting.stamp_s - total.born_s) * away
-            spread = turn @ sighting.covariance_m2[which] @ turn.T
-            spread = spread + turned**2 * np.outer(aside, aside)
-            weight = share * np.linalg.inv(spread)
-            total.information += design.T @ weight @ design
-            total.weighted += design.T @ weight @ placed
-            total.nearest_m = min(total.nearest_m, away)
-            total.farthest_m = max(total.farthest_m, away)
-            total.confirmed |= bool(tracks.confirmed[row])
-            total.seen_s = sighting.stamp_s
+            self._add(total, sighting, which, away_m, share)
+            total.note(sighting.stamp_s, away_m, bool(tracks.confirmed[row]))
         for identity in [k for k, t in self._sums.items() if sighting.stamp_s - t.seen_s > _OVER_S]:
             self._ended = self._with(self._ended, self._sums.pop(identity))
         estimate = self._ended
         for total in self._sums.values():
             estimate = self._with(estimate, total)
-        spread = np.linalg.inv(estimate[0])
-        self.value_px, self._variance = float(spread[0] @ estimate[1]), float(spread[0, 0])
+        covariance = np.linalg.inv(estimate[0])
+        self.value_px = float(covariance[0] @ estimate[1])
+        self._variance = float(covariance[0, 0])
+
+    def _add(
+        self, total: _Sum, sighting: Sighting, which: int, away_m: float, share: float
+    ) -> None:
+        """Add a detection to its track's sum, in the dead-reckoned frame."""
+        point = sighting.points_vehicle_m[which]
+        c, s = np.cos(self._pose[2]), np.sin(self._pose[2])
+        turn = np.array([[c, -s], [s, c]])
+        step = turn @ self.per_px(point[np.newaxis])[0]
+        travel = self._pose[:2] - total.start_m
+        design = np.column_stack([np.eye(2), -step, -travel])
+        place = self._pose[:2] + turn @ point - step * self.value_px
+        # dead reckoning turns away: what it says lies aside of the ray errs with age and distance
+        aside = np.array([-step[1], step[0]]) / np.hypot(*step)
+        turned = self._config.yaw_rate_sd_radps * (sighting.stamp_s - total.born_s) * away_m
+        spread = turn @ sighting.covariance_m2[which] @ turn.T
+        total.add(place, design, spread + turned**2 * np.outer(aside, aside), share)
 
     def _with(self, known: tuple[Floats, Floats], total: _Sum) -> tuple[Floats, Floats]:
         """What is known and what one track says, unless it says nothing or contradicts."""
@@ -152,6 +173,6 @@ class DisparityOffset:
         before, after = np.linalg.inv(known[0]), np.linalg.inv(known[0] + said)
         change = float(after[0] @ (known[1] + weighted) - before[0] @ known[1])
         # the estimate moves by the difference of the variances' root at one sigma
-        if change**2 > _LARGEST_SD**2 * max(before[0, 0] - after[0, 0], 1e-12):
+        if change**2 > _LARGEST_SD**2 * max(before[0, 0] - after[0, 0], _LEAST_VARIANCE):
             return known
         return known[0] + said, known[1] + weighted
