@@ -41,10 +41,11 @@ class LocalizeConfig(BaseModel):
     alpha4_rotation_rad: float = Field(0.003, ge=0)
     alpha5_slip_m_per_sqrt_m: float = Field(0.015, ge=0)
     learn_noise: bool = True
+    # factors on the standard deviations that the alphas give, see noise_scale.py
     noise_scale_start: float = Field(0.8, gt=0)
-    noise_prior_windows: float = Field(2.0, gt=0)
-    noise_memory_windows: float = Field(30.0, gt=1)
-    noise_window: float = Field(8.0, gt=0)
+    noise_prior_windows: float = Field(2.0, gt=0)  # the start counts as if seen in so many windows
+    noise_memory_windows: float = Field(30.0, gt=1)  # after so many, a window counts a third
+    noise_window: float = Field(8.0, gt=0)  # length in independent scans, not in scans or seconds
     noise_scale_min: float = Field(0.2, gt=0, le=1)
     noise_scale_max: float = Field(4.0, ge=1)
     arc_s: float = Field(0.06, gt=0, le=1)

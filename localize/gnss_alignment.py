@@ -26,6 +26,7 @@ _SHORT_TERM_SHARE = 0.5  # the part of the receiver's error that differs from fi
 _STRAY_S = 2.0
 _DRIFT_SHARE = 0.02
 _SAME_PLACE_M = 1.0
+_FIXES_AT_A_PLACE = 5  # the newest; enough for a median that one outlier or two do not move
 _WIDE_SD = 20.0  # of an outlier, in standard deviations of the pose
 
 
@@ -156,10 +157,17 @@ class GnssAlignment:
     def _unknown_heading(
         self, fixes: Floats, path: Floats, sd: Floats, reckoned: Floats
     ) -> GnssPose:
-        """Rear axle somewhere around the antenna, in any direction."""
+        """Rear axle somewhere around the antenna, in any direction.
+
+        Args:
+            fixes: `(n, 2)` east, north of the antenna, oldest first.
+            path: `(n, 2)` where dead reckoning had the antenna at their moments.
+            sd: `(n,)` standard deviations of the fixes, an axis, metres.
+            reckoned: `(3,)` the rear axle now, in the frame of `path`.
+        """
         # older fixes lie behind, nobody knows in which direction
         here = np.hypot(*(path - path[-1]).T) < _SAME_PLACE_M
-        position = np.median(fixes[here][-5:], axis=0)
+        position = np.median(fixes[here][-_FIXES_AT_A_PLACE:], axis=0)
         lever = float(np.hypot(*self._antenna_m))
         since = float(np.hypot(*(reckoned[:2] - path[-1])))
         variance = float(np.median(sd)) ** 2 + 0.5 * max(lever, since) ** 2
