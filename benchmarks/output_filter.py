@@ -29,7 +29,9 @@ Event = tuple[float, int, Any]
 
 def run() -> dict[str, dict[str, float]]:
     """Median and p95 of one odometry event, one late pose replayed over 110 ms, and one tick."""
-    odometry, poses, ticks = [], [], []
+    odometry: list[float] = []
+    poses: list[float] = []
+    ticks: list[float] = []
     for seed in range(3):
         drive = point_drive(np.random.default_rng(seed), duration_s=20.0)
         output, tick = OutputFilter(OutputConfig()), 0

@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stereo.matching import Image
+
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -63,8 +65,8 @@ def together(parts: Sequence[Windows]) -> Windows:
 
 
 def register(
-    left: NDArray[np.uint8],
-    right: NDArray[np.uint8],
+    left: Image,
+    right: Image,
     found_px: Floats32,
     truth_px: Floats32,
     known: Mask,

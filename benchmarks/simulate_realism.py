@@ -8,12 +8,12 @@ pictures and truth shows a registration of windows by least squares (`benchmarks
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import RECORDINGS
 from benchmarks.registration import Windows, register, together
+from benchmarks.stereo_pairs import read_grey, read_truth
 from simulate.config import RenderConfig, SimulateConfig, kitti_camera
 from simulate.drive import Studio, make_plan
 from simulate.render import View
@@ -66,14 +66,11 @@ def kitti() -> dict[str, float]:
     matcher = make_matcher(StereoConfig(disparities=192))
     rows, windows = [], []
     for truth_file in sorted(KITTI.glob("disp_noc_0/*.png")):
-        left, right = (
-            cv2.imread(str(KITTI / side / truth_file.name), cv2.IMREAD_GRAYSCALE)
-            for side in ("image_2", "image_3")
-        )
-        raw = cv2.imread(str(truth_file), cv2.IMREAD_UNCHANGED).astype(np.float32) / 256
+        left, right = (read_grey(KITTI / side / truth_file.name) for side in ("image_2", "image_3"))
+        truth = np.nan_to_num(read_truth(truth_file, 256.0))
         found = matcher.match(left, right).left
-        rows.append(score(found, raw, raw > 0))
-        windows.append(register(left, right, found, raw, raw > 0))
+        rows.append(score(found, truth, truth > 0))
+        windows.append(register(left, right, found, truth, truth > 0))
     return _summary(rows, windows) if rows else {}
 
 

@@ -72,7 +72,7 @@ def calibrate(matcher: StereoMatcher, pairs: list[Pair]) -> DisparityErrorModel:
         assert maps.left_margin is not None
         margins.append(maps.left_margin[found])
         errors.append(np.abs(maps.left - pair.truth)[found])
-    grey, margin, error = map(np.concatenate, (greys, margins, errors))
+    grey, margin, error = (np.concatenate(values) for values in (greys, margins, errors))
     rows = np.digitize(grey, np.sqrt(model.texture_grid[1:] * model.texture_grid[:-1]))
     columns = np.digitize(margin, (model.margin_grid[1:] + model.margin_grid[:-1]) / 2)
     sd = model.sd_px_table.copy()
@@ -108,11 +108,11 @@ def score_rendered(config: StereoConfig, seeds: range, **scene: float) -> dict[s
             known += int(found.sum())
             wrong += int((np.abs(disparity - pair.views[side].disparity_px) > 1)[found].sum())
     row = {"error_percent": 100 * wrong / known}
-    for side, total in zip(("left", "right"), sums, strict=True):
-        row[f"{side}_recall"] = total.recall
-        row[f"{side}_thin_recall"] = total.thin_recall
-        row[f"{side}_clear_recall"] = total.clear_recall
-        row[f"{side}_fattening_px"] = total.fattening_px
+    for view, total in zip(("left", "right"), sums, strict=True):
+        row[f"{view}_recall"] = total.recall
+        row[f"{view}_thin_recall"] = total.thin_recall
+        row[f"{view}_clear_recall"] = total.clear_recall
+        row[f"{view}_fattening_px"] = total.fattening_px
     return row
 
 

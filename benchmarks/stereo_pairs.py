@@ -50,14 +50,16 @@ class Pair:
             return np.asarray(error > 1)
 
 
-def _grey(path: Path) -> NDArray[np.uint8]:
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """A picture, as grey levels `(h, w)`."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise SystemExit(f"{path}: no image; pass a KITTI or Middlebury folder")
     return np.asarray(image, dtype=np.uint8)
 
 
-def _truth(path: Path, scale: float) -> NDArray[np.float32]:
+def read_truth(path: Path, scale: float) -> NDArray[np.float32]:
+    """True disparities `(h, w)` from a picture that holds them times `scale`; NaN where unknown."""
     raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if raw is None:
         raise SystemExit(f"{path}: no ground truth")
@@ -86,8 +88,8 @@ def read_raw_pairs(folder: Path) -> Iterator[Pair]:
         depth_to_disparity = near[0, 3] - far[0, 3]  # focal length x baseline
         images, truths = [], []
         for camera in ("image_02", "image_03"):
-            images.append(_grey(folder / drive[:10] / drive / camera / "data" / path.name))
-            depth = _truth(path.parents[1] / camera / path.name, 256.0)
+            images.append(read_grey(folder / drive[:10] / drive / camera / "data" / path.name))
+            depth = read_truth(path.parents[1] / camera / path.name, 256.0)
             truths.append((depth_to_disparity / depth).astype(np.float32))
         yield Pair(f"{path.stem} left", images[0], images[1], truths[0], True)
         mirrored = [np.ascontiguousarray(x[:, ::-1]) for x in images]
@@ -113,9 +115,9 @@ def read_pairs(folder: Path) -> Iterator[Pair]:
         for path in sorted((folder / truth).glob("*_10.png")):
             yield Pair(
                 path.stem,
-                _grey(folder / left / path.name),
-                _grey(folder / right / path.name),
-                _truth(path, 256.0),
+                read_grey(folder / left / path.name),
+                read_grey(folder / right / path.name),
+                read_truth(path, 256.0),
                 True,
             )
     if kitti:
@@ -129,5 +131,5 @@ def read_pairs(folder: Path) -> Iterator[Pair]:
         if left_path is None or right_path is None:
             continue
         name = truth_path.parent.name if stem.startswith("disp") else stem
-        truth_map = _truth(truth_path, 4.0)
-        yield Pair(name, _grey(left_path), _grey(right_path), truth_map, False)
+        truth_map = read_truth(truth_path, 4.0)
+        yield Pair(name, read_grey(left_path), read_grey(right_path), truth_map, False)

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stereo.matching import Image
+
 Floats = NDArray[np.float64]
 
 CLEAR_PX = 6
@@ -29,8 +31,8 @@ class View:
 class Scene:
     """A pair with its truth; `pole_width_px` and `pole_disparity_px` by pole number."""
 
-    left: NDArray[np.uint8] | NDArray[np.uint16]
-    right: NDArray[np.uint8] | NDArray[np.uint16]
+    left: Image
+    right: Image
     views: tuple[View, View]
     pole_width_px: Floats
     pole_disparity_px: Floats
@@ -131,11 +133,12 @@ def rendered_scene(
     v, u = np.mgrid[:height, :width]
     radius2 = ((u - width / 2) ** 2 + (v - height / 2) ** 2) / ((width**2 + height**2) / 4)
     images[1] = 255 * (images[1] / 255) ** gamma * gain * (1 - vignetting * radius2)
-    top_value, dtype = (255, np.uint8) if bits == 8 else (2**bits - 1, np.uint16)
-    grey = []
+    top_value = 2**bits - 1
+    grey: list[Image] = []
     for image in images:
         noisy = image + noise_sd * rng.standard_normal(shape)
-        grey.append(np.clip(np.rint(noisy * top_value / 255), 0, top_value).astype(dtype))
+        levels = np.clip(np.rint(noisy * top_value / 255), 0, top_value)
+        grey.append(levels.astype(np.uint8) if bits == 8 else levels.astype(np.uint16))
     return Scene(
         grey[0],
         grey[1],

@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.stereo_pairs import read_grey
 from benchmarks.stereo_scenes import rendered_scene
 from stereo.config import OpenCvConfig, StereoConfig
 from stereo.matching import Image, StereoMatcher, make_matcher
@@ -72,6 +73,10 @@ def run() -> dict[str, dict[str, float]]:
     return measure(scene.left, scene.right, 9)
 
 
+def _resized(path: Path) -> Image:
+    return np.asarray(cv2.resize(read_grey(path), SIZE_PX), dtype=np.uint8)
+
+
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -79,7 +84,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=9)
     options = parser.parse_args()
     if options.images:
-        left, right = (cv2.resize(cv2.imread(str(path), 0), SIZE_PX) for path in options.images)
+        left, right = (_resized(path) for path in options.images)
     else:
         scene = rendered_scene(1)
         left, right = scene.left, scene.right
