@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivelog.frames import EarthFrame
 from polemap.landmark_map import PoleMap
 from polemap.map_offset import offset_from_map, with_disparity
 from stereo.rig import Mounting, StereoRig
+from tests.pole_maps import plain_map
 from vehicle.pose import Pose2D
 
 RIG = StereoRig(768, 480, 823.5, 383.5, 239.5, 0.30, Mounting(1.9, 0.15, 1.3, 0.0, 0.0, 0.0))
@@ -18,11 +18,7 @@ def street(rng: np.random.Generator) -> PoleMap:
     n = 30
     points = np.column_stack([np.linspace(10.0, 150.0, n), np.where(np.arange(n) % 2, 4.5, -5.0)])
     points = points + rng.normal(0.0, 0.2, (n, 2))  # a map scatters
-    return PoleMap(
-        EarthFrame("local", name="street"), np.arange(n), points,
-        np.broadcast_to(0.04 * np.eye(2), (n, 2, 2)).copy(), np.full(n, 0.2), np.full(n, 4.0),
-        np.ones(n, np.int64), np.ones(n, np.int64), np.ones(n),
-    )  # fmt: skip
+    return plain_map(points, variance_m2=0.04)
 
 
 @pytest.mark.parametrize("lacking_px", [-0.5, 0.0, 0.4])

@@ -119,12 +119,8 @@ def test_evidence_is_there_for_poles_that_show() -> None:
 
 
 def test_training_needs_one_frame_and_a_reference() -> None:
-    empty = np.empty(0)
     frame = EarthFrame("local", name="a")
-    pole_map = PoleMap(
-        EarthFrame("local", name="b"), empty.astype(np.int64), np.empty((0, 2)),
-        np.empty((0, 2, 2)), empty, empty, empty.astype(np.int64), empty.astype(np.int64), empty,
-    )  # fmt: skip
+    pole_map = PoleMap.empty(EarthFrame("local", name="b"))
     drive = Drive("d", Path(), frame, 2.7)
     matcher = make_matcher(STEREO)
     with pytest.raises(FrameError, match="local frame 'b'"):

@@ -13,7 +13,6 @@ from pydantic import TypeAdapter, ValidationError
 from drivelog.drive import Drive, GnssStream, OdometryStream
 from drivelog.frames import EarthFrame
 from drivelog.samples import Image
-from polemap.landmark_map import PoleMap
 from simulate import map_faults, picture_faults
 from simulate.drive_fault import DriveFault
 from simulate.faults import Fault, age_map, apply_faults
@@ -34,6 +33,7 @@ from simulate.stream_faults import (
     OdometryDropout,
 )
 from stereo.rig import StereoRig
+from tests.pole_maps import plain_map
 
 RIG = StereoRig(80, 60, 90.0, 39.5, 29.5, 0.3)
 
@@ -217,11 +217,7 @@ def test_unknown_faults_are_refused() -> None:
 def test_maps_that_are_out_of_date() -> None:
     count = 200
     rng = np.random.default_rng(0)
-    pole_map = PoleMap(
-        EarthFrame("local", name="m"), np.arange(count), rng.uniform(0, 500, (count, 2)),
-        np.tile(np.eye(2) * 0.01, (count, 1, 1)), np.full(count, 0.2), np.full(count, 3.0),
-        np.ones(count, np.int64), np.ones(count, np.int64), np.ones(count),
-    )  # fmt: skip
+    pole_map = plain_map(rng.uniform(0, 500, (count, 2)), height_m=3.0)
     fewer = map_faults.without_poles(pole_map, 0.3, rng)
     assert len(fewer) == pytest.approx(140, abs=4 * np.sqrt(count * 0.21))
     assert set(fewer.ids) <= set(pole_map.ids)

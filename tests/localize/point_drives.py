@@ -1,0 +1,70 @@
+"""Drives of points through the particle filter, and how far its poses are off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
+from localize.config import LocalizeConfig
+from localize.estimate import PfEstimate
+from localize.particle_filter import ParticleFilter
+from simulate.point_world import PointDrive, PointScenario
+from vehicle.pose import wrap_angle
+
+SHORT = PointScenario(duration_s=25.0)
+
+
+def play(
+    particle_filter: ParticleFilter, samples: Iterable[Sample], antenna_m: np.ndarray | None = None
+) -> list[PfEstimate]:
+    estimates = []
+    for sample in samples:
+        if isinstance(sample, OdometrySample):
+            particle_filter.predict(sample)
+        elif isinstance(sample, GnssFix):
+            particle_filter.gnss(sample, np.zeros(2) if antenna_m is None else antenna_m)
+        elif isinstance(sample, PoleScan):
+            estimate = particle_filter.update(sample)
+            if estimate is not None:
+                estimates.append(estimate)
+    return estimates
+
+
+def run(
+    drive: PointDrive,
+    seed: int = 0,
+    config: LocalizeConfig | None = None,
+    start: np.ndarray | None = None,
+) -> list[PfEstimate]:
+    particle_filter = ParticleFilter(
+        drive.pole_map, config or LocalizeConfig(), drive.wheelbase_m, np.random.default_rng(seed)
+    )
+    if start is not None:
+        particle_filter.set_pose(0.0, start, np.diag([0.25, 0.25, 0.003]))
+    return play(particle_filter, drive.samples)
+
+
+def errors(drive: PointDrive, estimates: list[PfEstimate]) -> np.ndarray:
+    """`(n, 3)` along, across, yaw."""
+    truth = np.array([drive.truth_at(e.stamp_s) for e in estimates])
+    offset = np.array([e.pose for e in estimates]) - truth
+    c, s = np.cos(truth[:, 2]), np.sin(truth[:, 2])
+    return np.stack(
+        [
+            c * offset[:, 0] + s * offset[:, 1],
+            -s * offset[:, 0] + c * offset[:, 1],
+            wrap_angle(offset[:, 2]),
+        ],
+        axis=1,
+    )
+
+
+def found_after(drive: PointDrive, estimates: list[PfEstimate], since_s: float) -> float:
+    """Seconds after `since_s` until the error stays below 1 m and 5 degrees."""
+    error = errors(drive, estimates)
+    stamp = np.array([e.stamp_s for e in estimates])
+    bad = (np.hypot(error[:, 0], error[:, 1]) > 1.0) | (np.abs(error[:, 2]) > 0.09)
+    bad &= stamp > since_s
+    return float(stamp[bad].max() - since_s) if bad.any() else 0.0
