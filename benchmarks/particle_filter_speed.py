@@ -18,8 +18,9 @@ from drivelog.frames import EarthFrame
 from drivelog.samples import OdometrySample, PoleScan, VisibleRegion
 from localize.config import LocalizeConfig
 from localize.particle_filter import ParticleFilter
-from polemap.association import Landmarks, PoleModel, assign, pair_gains, pole_log_likelihood
+from polemap.association import assign, pair_gains, pole_log_likelihood
 from polemap.landmark_map import PoleMap
+from polemap.pole_model import Landmarks, PoleModel
 
 Floats = NDArray[np.float64]
 

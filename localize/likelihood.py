@@ -11,13 +11,9 @@ from numpy.typing import NDArray
 from drivelog.samples import PoleScan, VisibleRegion
 from localize.config import LocalizeConfig
 from localize.particles import effective_count, normalized
-from polemap.association import (
-    Landmarks,
-    PoleModel,
-    PoseLikelihoods,
-    pole_log_likelihood,
-)
+from polemap.association import PoseLikelihoods, pole_log_likelihood
 from polemap.landmark_map import PoleMap
+from polemap.pole_model import Landmarks, PoleModel
 
 Floats = NDArray[np.float64]
 

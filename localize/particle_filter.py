@@ -28,8 +28,8 @@ from localize.particles import (
 )
 from localize.relocation import Relocation, Verdict
 from localize.start_proof import StartProof
-from polemap.association import Landmarks
 from polemap.landmark_map import PoleMap
+from polemap.pole_model import Landmarks
 
 Floats = NDArray[np.float64]
 _RESTART_SHARE = 0.75

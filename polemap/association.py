@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from drivelog.samples import PoleScan, VisibleRegion
-from polemap.landmark_map import PoleMap
+from polemap.pole_model import Landmarks, PoleModel
 
 try:
     from polemap.native import assignment_kernel
@@ -26,8 +26,6 @@ except ImportError:  # no compiler at install time: the scipy path serves
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Backend = Literal["auto", "native", "scipy"]
-
-_LARGEST_DETECTION = 0.999
 
 
 def assign(
@@ -87,76 +85,6 @@ def _assign_scipy(costs: Floats, unassigned: Floats) -> tuple[Floats, Ints]:
         totals[b] = padded[row, column].sum()
         matches[b, row] = np.where(column < columns, column, -1)
     return totals, matches
-
-
-@dataclass(frozen=True, slots=True)
-class PoleModel:
-    """How seen poles relate to map poles.
-
-    Attributes:
-        beta_p: weight of the position term against the width term.
-        width_sd_m: expected deviation of a seen width from the mapped one.
-        clutter_per_m2: intensity of the Poisson process of false poles, on the ground.
-        clutter_width_span_m: false poles are as likely at any width within this span.
-        position_floor_m: standard deviation added to every scan position; what the detector's
-            own covariance does not know (calibration, a trunk that is no line).
-    """
-
-    beta_p: float = 1.0
-    width_sd_m: float = 0.15
-    clutter_per_m2: float = 1e-3
-    clutter_width_span_m: float = 1.0
-    position_floor_m: float = 0.05
-
-    @property
-    def log_width_gain(self) -> float:
-        """Log ratio of the width densities of a right pair at zero error and of clutter."""
-        return float(np.log(self.clutter_width_span_m / (np.sqrt(2 * np.pi) * self.width_sd_m)))
-
-
-@dataclass(frozen=True, slots=True)
-class Landmarks:
-    """The map poles around the car, as plain arrays.
-
-    Attributes:
-        points_m: `(m, 2)` east, north.
-        covariance_m2: `(m, 3)` var east, var north, covariance.
-        width_m: `(m,)`, NaN where unknown.
-        detection: `(m,)` probability that a pole in view is reported, in (0, 1).
-        rows: `(m,)` rows of the map that they come from.
-    """
-
-    points_m: Floats
-    covariance_m2: Floats
-    width_m: Floats
-    detection: Floats
-    rows: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, pole_map: PoleMap, p_detection: float) -> Landmarks:
-        """All poles of a map; one that may no longer stand is expected less."""
-        covariance = pole_map.covariance_m2.reshape(-1, 2, 2)
-        existence = np.clip(pole_map.existence, 0.05, 1.0)
-        return cls(
-            np.ascontiguousarray(pole_map.points_m.reshape(-1, 2)),
-            np.stack([covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]], axis=1),
-            np.asarray(pole_map.width_m, dtype=np.float64),
-            np.minimum(p_detection * existence, _LARGEST_DETECTION),
-            np.arange(len(pole_map)),
-        )
-
-    def take(self, rows: NDArray[np.int64]) -> Landmarks:
-        """Some of them."""
-        return Landmarks(
-            self.points_m[rows],
-            self.covariance_m2[rows],
-            self.width_m[rows],
-            self.detection[rows],
-            self.rows[rows],
-        )
-
-    def __len__(self) -> int:
-        return len(self.rows)
 
 
 @dataclass(frozen=True, slots=True)

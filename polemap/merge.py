@@ -20,13 +20,13 @@ from scipy.stats import chi2
 
 from polemap.mapping_config import MappingConfig
 from polemap.passes import PassLandmarks
+from polemap.robust_means import weighted_mean
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 _MEDIAN = float(chi2.median(2))
 _PAIRS_MIN = 20  # fewer meetings do not measure an error
-_HUBER = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,34 +273,3 @@ def fuse(
     number = np.maximum(np.bincount(owner, minlength=clusters), 1)
     off = np.bincount(owner, landmarks.aligned_sd_m**2, clusters) / number
     return point, covariance + off[:, None, None] * np.eye(2)
-
-
-def weighted_mean(
-    points: Floats, covariance: Floats, group: Whole, n: int, gain: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Robust information-weighted mean of each group: `(n, 2)`, `(n, 2, 2)`.
-
-    The third is what the same mean makes of `gain`, `(len(points), 2)`.
-    """
-    information = np.linalg.inv(covariance)
-    weight = np.ones(len(points))
-    mean: Floats = np.zeros((n, 2))
-    total: Floats = np.zeros((n, 2, 2))
-    count = np.bincount(group, minlength=n)
-    weighted = information
-    for _ in range(6):
-        total, vector = np.zeros((n, 2, 2)), np.zeros((n, 2))
-        weighted = weight[:, None, None] * information
-        np.add.at(total, group, weighted)
-        np.add.at(vector, group, np.einsum("nij,nj->ni", weighted, points))
-        mean = np.asarray(np.linalg.solve(total, vector[..., None])[..., 0], dtype=np.float64)
-        offset = points - mean[group]
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", offset, information, offset))
-        # two cannot outvote each other
-        weight = np.where(
-            count[group] >= 3, np.minimum(1.0, _HUBER / np.maximum(distance, 1e-12)), 1.0
-        )
-    carried = np.zeros((n, 2))
-    np.add.at(carried, group, np.einsum("nij,nj->ni", weighted, gain))
-    carried = np.asarray(np.linalg.solve(total, carried[..., None])[..., 0], dtype=np.float64)
-    return mean, np.asarray(np.linalg.inv(total), dtype=np.float64), carried

@@ -15,12 +15,12 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from polemap.mapping_config import MappingConfig
+from polemap.robust_means import mean_of_sightings, median_and_sd
 from polemap.sightings import Sightings
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-_HUBER = 2.0  # Mahalanobis distance from which a sighting loses weight
 _LAGS = 30
 
 
@@ -193,7 +193,9 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
     """
     present, rows = np.unique(numbers, return_inverse=True)
     n = len(present)
-    point, covariance, weight, gain = _robust_mean(sightings, rows, n)
+    point, covariance, weight, gain = mean_of_sightings(
+        sightings.points_m, sightings.covariance_m2, sightings.gain_m_per_px, rows, n
+    )
     repeats = correlation_length(sightings, rows, point)
     count = np.bincount(rows, minlength=n).astype(np.float64)
     # n sightings are worth n / repeats independent ones, but never less than one
@@ -206,8 +208,8 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
     directions = np.zeros(n, dtype=np.int64)
     np.bitwise_or.at(directions, rows, 1 << eighth)
     total = np.bincount(rows, weight, n)
-    width, width_sd = _median_and_sd(sightings.width_m, rows, n)
-    height, height_sd = _median_and_sd(sightings.height_m, rows, n)
+    width, width_sd = median_and_sd(sightings.width_m, rows, n)
+    height, height_sd = median_and_sd(sightings.height_m, rows, n)
     first, last = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(first, rows, sightings.stamp_s)
     np.maximum.at(last, rows, sightings.stamp_s)
@@ -236,58 +238,6 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
         range_max_m=farthest,
     )
     return landmarks, rows.astype(np.int64)
-
-
-def _robust_mean(
-    sightings: Sightings, rows: Whole, n: int
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Iteratively reweighted mean (Huber) of points with covariances, for all landmarks at once.
-
-    Returns:
-        Points `(n, 2)`, covariances `(n, 2, 2)` as if sightings were independent, scaled up where
-        they scatter more than they claim, the weight of each sighting `(len(rows),)`, and what the
-        same mean makes of the sightings' gains `(n, 2)`.
-    """
-    information = np.linalg.inv(sightings.covariance_m2)
-    point = (
-        np.stack([np.bincount(rows, sightings.points_m[:, axis], n) for axis in (0, 1)], axis=1)
-        / np.bincount(rows, minlength=n)[:, None]
-    )
-    weight = np.ones(len(rows))
-    total, weighted = np.zeros((n, 2, 2)), information
-    distance = np.zeros(len(rows))
-    for _ in range(8):
-        total = np.zeros((n, 2, 2))
-        vector = np.zeros((n, 2))
-        weighted = weight[:, None, None] * information
-        np.add.at(total, rows, weighted)
-        np.add.at(vector, rows, np.einsum("nij,nj->ni", weighted, sightings.points_m))
-        point = np.asarray(np.linalg.solve(total, vector[..., None])[..., 0], dtype=np.float64)
-        offset = sightings.points_m - point[rows]
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", offset, information, offset))
-        weight = np.minimum(1.0, _HUBER / np.maximum(distance, 1e-12))
-    carried = np.zeros((n, 2))
-    np.add.at(carried, rows, np.einsum("nij,nj->ni", weighted, sightings.gain_m_per_px))
-    gain = np.asarray(np.linalg.solve(total, carried[..., None])[..., 0], dtype=np.float64)
-    count = np.bincount(rows, minlength=n)
-    excess = np.bincount(rows, weight * distance**2, n) / np.maximum(2.0 * (count - 1), 1.0)
-    covariance = np.linalg.inv(total) * np.maximum(1.0, excess)[:, None, None]
-    return point, covariance, weight * np.sqrt(np.linalg.det(information)), gain
-
-
-def _median_and_sd(values: Floats, rows: Whole, n: int) -> tuple[Floats, Floats]:
-    """Median and robust standard deviation of the finite values of each landmark, NaN without."""
-    median, sd = np.full(n, np.nan), np.full(n, np.nan)
-    finite = np.isfinite(values)
-    order = np.lexsort((values[finite], rows[finite]))
-    sorted_values, owners = values[finite][order], rows[finite][order]
-    present, start, count = np.unique(owners, return_index=True, return_counts=True)
-    middle = (sorted_values[start + (count - 1) // 2] + sorted_values[start + count // 2]) / 2.0
-    median[present] = middle
-    low = sorted_values[start + (0.16 * (count - 1)).astype(np.int64)]
-    high = sorted_values[start + np.ceil(0.84 * (count - 1)).astype(np.int64)]
-    sd[present] = (high - low) / 2.0
-    return median, sd
 
 
 def together(rows: Whole, look: Whole, n: int) -> NDArray[np.int64]:

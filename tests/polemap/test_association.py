@@ -11,8 +11,9 @@ from scipy.optimize import linear_sum_assignment
 from drivelog.frames import EarthFrame
 from drivelog.samples import PoleScan, VisibleRegion
 from polemap import association
-from polemap.association import Landmarks, PoleModel, assign, pole_log_likelihood
+from polemap.association import assign, pole_log_likelihood
 from polemap.landmark_map import PoleMap
+from polemap.pole_model import Landmarks, PoleModel
 
 needs_kernel = pytest.mark.skipif(
     not association.HAVE_KERNEL, reason="the assignment kernel was not built here"
