@@ -50,6 +50,12 @@ def wrap(angle_rad: float) -> float:
     return (angle_rad + pi) % (2.0 * pi) - pi
 
 
+def as_mean(values: Floats) -> Mean:
+    """The state `(7,)` as plain floats, the yaw wrapped."""
+    x, y, yaw, v, w, scale, offset = values.tolist()
+    return (x, y, wrap(yaw), v, w, scale, offset)
+
+
 def pack(covariance: Floats) -> Upper:
     """Upper triangle of `(7, 7)`."""
     return tuple(covariance[_ROWS, _COLUMNS].tolist())

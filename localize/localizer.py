@@ -5,12 +5,11 @@ from __future__ import annotations
 import heapq
 from collections import Counter, deque
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
 from math import nan
 from threading import Lock
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +24,9 @@ from localize.output_config import OutputConfig
 from localize.output_filter import OutputFilter, usable_pose
 from localize.output_limiter import OutputLimiter, OutputPose
 from localize.particle_filter import ParticleFilter
+from localize.stage_times import StageTimes
 from polemap.landmark_map import PoleMap
 from vehicle.delay import Placement
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 Floats = NDArray[np.float64]
 
@@ -107,7 +104,7 @@ class Localizer:
         self._perception = perception
         self._delay_s = processing_delay_s
         self._on_update = on_update
-        self._clock = clock
+        self._times = StageTimes(clock)
         self._clocks = {name: StreamClock(config.output) for name in STREAMS}
         self._inbox: deque[OdometrySample | GnssFix] = deque(maxlen=20_000)
         self._pending: list[tuple[float, int, PfEstimate, float]] = []
@@ -115,7 +112,7 @@ class Localizer:
         # the slow half (perception, particles) and the fast half (output filter) lock apart
         self._slow, self._fast = Lock(), Lock()
         self.counts: Counter[str] = Counter()
-        self.timings_s: dict[str, list[float]] = {}
+        self.timings_s = self._times.seconds
 
     def push(self, sample: Sample) -> PfEstimate | None:
         """Take a sample in; the particle filter's estimate if it led to one.
@@ -149,7 +146,7 @@ class Localizer:
         Asked at rising stamps, the answers never jump but where they are flagged. For a stamp at
         or before the last one asked for, it is the filter's best knowledge of that moment.
         """
-        with self._fast, self._timed("output_tick"):
+        with self._fast, self._times.of("output_tick"):
             self._release(stamp_s)
             if not self._filter.started:
                 return None
@@ -183,7 +180,7 @@ class Localizer:
                 self.counts["odometry_not_finite"] += 1
                 return
             self._release(sample.arrival_s)
-            with self._timed("output_odometry"):
+            with self._times.of("output_odometry"):
                 placed = self._filter.odometry(stamp, *self._correction.rates(sample))
             self._count("odometry", placed)
             if self._particle_filter is not None:
@@ -232,7 +229,7 @@ class Localizer:
         if reason is not None:
             self.counts[f"not_offered_{reason}"] += 1
             return f"not_offered:{reason}", nan, nan
-        with self._timed("output_pose"):
+        with self._times.of("output_pose"):
             placed = self._filter.pose(
                 estimate.stamp_s,
                 estimate.pose,
@@ -243,8 +240,8 @@ class Localizer:
             self.counts["late_dropped"] += 1
         self._count("pose", placed)
         if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
-            return f"dropped:{placed.value}", nan, self._last_s("output_pose")
-        return *self._filter.verdict_at(estimate.stamp_s), self._last_s("output_pose")
+            return f"dropped:{placed.value}", nan, self._times.last_s("output_pose")
+        return *self._filter.verdict_at(estimate.stamp_s), self._times.last_s("output_pose")
 
     def _not_offered(self, estimate: PfEstimate) -> str | None:
         config = self._config
@@ -278,9 +275,9 @@ class Localizer:
             if stamp is None:
                 return None
             scan = self._look(replace(sample, stamp_s=stamp))
-            with self._timed("particle_filter"):
+            with self._times.of("particle_filter"):
                 estimate = self._particle_filter.update(scan)
-            spent_s = self._last_s("particle_filter")
+            spent_s = self._times.last_s("particle_filter")
             correction = self._particle_filter.correction
             slip_rad_per_mps2 = self._particle_filter.slip_rad_per_mps2
         if estimate is None:
@@ -295,20 +292,5 @@ class Localizer:
             return sample
         if self._perception is None:
             raise InputError("a stereo frame was pushed, but this localizer has no perception")
-        with self._timed("perception"):
+        with self._times.of("perception"):
             return self._perception.push_frame(sample)
-
-    @contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
-        if self._clock is None:
-            yield
-            return
-        begin = self._clock()
-        try:
-            yield
-        finally:
-            self.timings_s.setdefault(stage, []).append(self._clock() - begin)
-
-    def _last_s(self, stage: str) -> float:
-        """The time that the last call of a stage took; NaN without a clock."""
-        return self.timings_s[stage][-1] if self._clock is not None else nan

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from math import cos, exp, isfinite, nan, sin
+from math import exp, isfinite, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from localize.correlation import missing, news
 from localize.ctrv_kernel import (
     SIZE,
-    Mean,
     Noise,
+    as_mean,
     pack,
     predict,
     unpack,
     wrap,
 )
 from localize.gnss_start import GnssStart
+from localize.gnss_update import take_gnss
 from localize.odometry_update import take_odometry
 from localize.output_config import OutputConfig
 from localize.output_state import (
@@ -37,7 +38,7 @@ from localize.output_state import (
     PoseUpper,
     RestartEvent,
 )
-from localize.rejection import antenna_residual, moved, reject, weigh
+from localize.rejection import moved, reject
 from vehicle.delay import Placement, ReplayBuffer
 from vehicle.kalman import (
     angle_residual,
@@ -52,7 +53,7 @@ Floats = NDArray[np.float64]
 # order of events of one stamp
 _ODOMETRY, _GNSS, _RESTART, _POSE = 0, 1, 2, 3
 _POSE_ROWS = np.eye(3, SIZE)
-_NEVER, _FOREVER = float("-inf"), float("inf")
+_NEVER = float("-inf")
 
 
 class OutputFilter:
@@ -198,7 +199,7 @@ class OutputFilter:
             state = state._replace(slip_rad_per_mps2=event.slip_rad_per_mps2)
             return self._take_pose(state, event)
         if isinstance(event, GnssEvent):
-            return self._take_gnss(state, event)
+            return take_gnss(state, event, self._antenna, self._config, self._gnss_limit)
         counts = state.counts._replace(gnss_restarts=state.counts.gnss_restarts + 1)
         return moved(state, event.pose, event.upper)._replace(counts=counts, last_pose_s=_NEVER)
 
@@ -228,45 +229,13 @@ class OutputFilter:
         if shared:
             updated[:3, :3] += missing(updated[:3, :3], noise)
         return state._replace(
-            mean=_as_mean(mean),
+            mean=as_mean(mean),
             upper=pack(updated),
             counts=counts._replace(poses_accepted=counts.poses_accepted + 1),
             rival=None,
             last_pose_s=state.stamp_s,
             decision="accepted",
             nis=innovation.nis,
-        )
-
-    def _take_gnss(self, state: FilterState, event: GnssEvent) -> FilterState:
-        config = self._config
-        interval = min(max(state.stamp_s - state.last_gnss_s, 0.05), 10.0)
-        state = state._replace(last_gnss_s=state.stamp_s)
-        if state.rival is not None:
-            state = state._replace(rival=weigh(state, state.rival, event, self._antenna))
-        if state.stamp_s - state.last_pose_s < config.gnss_after_s:
-            return state._replace(gnss_rejected_since_s=_FOREVER)
-        x, y, yaw = state.mean[:3]
-        residual = np.array(antenna_residual((x, y, yaw), event, self._antenna))
-        c, s = cos(yaw), sin(yaw)
-        ax, ay = self._antenna
-        jacobian = np.zeros((2, SIZE))
-        jacobian[0, 0] = jacobian[1, 1] = 1.0
-        jacobian[0, 2], jacobian[1, 2] = -s * ax - c * ay, c * ax - s * ay
-        covariance, alone = unpack(state.upper), np.eye(2) * event.sd_m**2
-        counts = state.counts
-        if config.gate and innovate(residual, covariance, jacobian, alone).nis > self._gnss_limit:
-            counts = counts._replace(gnss_rejections=counts.gnss_rejections + 1)
-            since = min(state.gnss_rejected_since_s, state.stamp_s)
-            return state._replace(counts=counts, gnss_rejected_since_s=since)
-        # fixes that share their error must not be averaged as if they did not
-        noise = alone * (1.0 + 2.0 * config.gnss_correlation_s / interval)
-        innovation = innovate(residual, covariance, jacobian, noise)
-        mean, updated = joseph_update(np.array(state.mean), covariance, innovation, jacobian, noise)
-        return state._replace(
-            mean=_as_mean(mean),
-            upper=pack(updated),
-            counts=counts._replace(gnss_accepted=counts.gnss_accepted + 1),
-            gnss_rejected_since_s=_FOREVER,
         )
 
     def _begin(self, stamp_s: float, pose: Pose, upper: PoseUpper, *, by_pose: bool) -> None:
@@ -294,11 +263,6 @@ def usable_pose(stamp_s: float, pose: Floats, covariance: Floats) -> str | None:
     if not isfinite(stamp_s) or not np.isfinite(pose).all():
         return "not_finite"
     return None if is_covariance(covariance) else "bad_covariance"
-
-
-def _as_mean(values: Floats) -> Mean:
-    x, y, yaw, v, w, scale, offset = values.tolist()
-    return (x, y, wrap(yaw), v, w, scale, offset)
 
 
 def _square(upper: PoseUpper) -> Floats:
