@@ -201,18 +201,10 @@ class ParticleFilter:
         if self._proof.contradicted:
             return self._begin_elsewhere(scan, reckoned)
         if self._lost.lost and self._relocation.rested(scan.stamp_s):
-            if self._lost.scattered or self._lost.astray:
-                drawn = self._relocation.draw(total, scan.stamp_s, reckoned, self._rng)
-            else:
-                # poles do not fit here, but the map may have changed: the old cloud keeps a part
-                drawn = self._relocation.draw(
-                    round(_RESTART_SHARE * total), scan.stamp_s, reckoned, self._rng
-                )
-            if len(drawn) == 0:
+            # where poles just do not fit, the map may have changed: the old cloud keeps a part
+            elsewhere = self._lost.scattered or self._lost.astray
+            if not self._restart(1.0 if elsewhere else _RESTART_SHARE, scan, reckoned):
                 return None
-            self._mix_in(drawn, np.zeros(len(drawn)))
-            self._averages.reset()
-            self._lost.reset()
             self.counts["reinitializations"] += 1
             return "reinitialized"
         wanted = round(self._averages.share * total)
@@ -229,18 +221,24 @@ class ParticleFilter:
 
     def _begin_elsewhere(self, scan: PoleScan, reckoned: Floats) -> Event | None:
         """The poles of the last metres fit clearly better at another place."""
-        count = round(_RESTART_SHARE * len(self._cloud))
-        drawn = self._relocation.draw(count, scan.stamp_s, reckoned, self._rng)
-        if len(drawn) == 0:
+        if not self._restart(_RESTART_SHARE, scan, reckoned):
             return None
-        self._mix_in(drawn, np.zeros(len(drawn)))
-        self._averages.reset()
-        self._lost.reset()
         if self._proof.proven:
             self.counts["reinitializations"] += 1
             return "reinitialized"
         self.counts["start_corrections"] += 1
         return "initialized"
+
+    def _restart(self, share: float, scan: PoleScan, reckoned: Floats) -> bool:
+        """Let a share of the cloud start anew; whether there was anywhere to start."""
+        count = round(share * len(self._cloud))
+        drawn = self._relocation.draw(count, scan.stamp_s, reckoned, self._rng)
+        if len(drawn) == 0:
+            return False
+        self._mix_in(drawn, np.zeros(len(drawn)))
+        self._averages.reset()
+        self._lost.reset()
+        return True
 
     def _mix_in(self, rear: Floats, log_weights: Floats) -> None:
         """Let poses take the places of as many particles."""
