@@ -22,27 +22,16 @@ def mean_of_sightings(
         they scatter more than they claim, the weight of each sighting `(len(rows),)`, and what the
         same mean makes of the sightings' gains `(n, 2)`.
     """
-    information = np.linalg.inv(covariance_m2)
-    point = (
-        np.stack([np.bincount(rows, points_m[:, axis], n) for axis in (0, 1)], axis=1)
-        / np.bincount(rows, minlength=n)[:, None]
-    )
-    weight = np.ones(len(rows))
-    total, weighted = np.zeros((n, 2, 2)), information
-    distance = np.zeros(len(rows))
+    information: Floats = np.linalg.inv(covariance_m2).astype(np.float64, copy=False)
+    point, total = np.zeros((n, 2)), np.zeros((n, 2, 2))
+    weight, distance, weighted = np.ones(len(rows)), np.zeros(len(rows)), information
     for _ in range(8):
-        total = np.zeros((n, 2, 2))
-        vector = np.zeros((n, 2))
         weighted = weight[:, None, None] * information
-        np.add.at(total, rows, weighted)
-        np.add.at(vector, rows, np.einsum("nij,nj->ni", weighted, points_m))
-        point = np.asarray(np.linalg.solve(total, vector[..., None])[..., 0], dtype=np.float64)
-        offset = points_m - point[rows]
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", offset, information, offset))
-        weight = np.minimum(1.0, _SIGHTING_HUBER / np.maximum(distance, 1e-12))
-    carried = np.zeros((n, 2))
-    np.add.at(carried, rows, np.einsum("nij,nj->ni", weighted, gain_m_per_px))
-    gain = np.asarray(np.linalg.solve(total, carried[..., None])[..., 0], dtype=np.float64)
+        total = _sums(weighted, rows, n)
+        point = _means(total, weighted, points_m, rows)
+        distance = _distances(points_m - point[rows], information)
+        weight = _huber(distance, _SIGHTING_HUBER)
+    gain = _means(total, weighted, gain_m_per_px, rows)
     count = np.bincount(rows, minlength=n)
     excess = np.bincount(rows, weight * distance**2, n) / np.maximum(2.0 * (count - 1), 1.0)
     covariance = np.linalg.inv(total) * np.maximum(1.0, excess)[:, None, None]
@@ -56,27 +45,17 @@ def weighted_mean(
 
     The third is what the same mean makes of `gain`, `(len(points), 2)`.
     """
-    information = np.linalg.inv(covariance)
-    weight = np.ones(len(points))
-    mean: Floats = np.zeros((n, 2))
-    total: Floats = np.zeros((n, 2, 2))
-    count = np.bincount(group, minlength=n)
-    weighted = information
+    information: Floats = np.linalg.inv(covariance).astype(np.float64, copy=False)
+    mean, total = np.zeros((n, 2)), np.zeros((n, 2, 2))
+    weight, weighted = np.ones(len(points)), information
+    enough = np.bincount(group, minlength=n)[group] >= 3  # two cannot outvote each other
     for _ in range(6):
-        total, vector = np.zeros((n, 2, 2)), np.zeros((n, 2))
         weighted = weight[:, None, None] * information
-        np.add.at(total, group, weighted)
-        np.add.at(vector, group, np.einsum("nij,nj->ni", weighted, points))
-        mean = np.asarray(np.linalg.solve(total, vector[..., None])[..., 0], dtype=np.float64)
-        offset = points - mean[group]
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", offset, information, offset))
-        # two cannot outvote each other
-        weight = np.where(
-            count[group] >= 3, np.minimum(1.0, _PASS_HUBER / np.maximum(distance, 1e-12)), 1.0
-        )
-    carried = np.zeros((n, 2))
-    np.add.at(carried, group, np.einsum("nij,nj->ni", weighted, gain))
-    carried = np.asarray(np.linalg.solve(total, carried[..., None])[..., 0], dtype=np.float64)
+        total = _sums(weighted, group, n)
+        mean = _means(total, weighted, points, group)
+        distance = _distances(points - mean[group], information)
+        weight = np.where(enough, _huber(distance, _PASS_HUBER), 1.0)
+    carried = _means(total, weighted, gain, group)
     return mean, np.asarray(np.linalg.inv(total), dtype=np.float64), carried
 
 
@@ -93,3 +72,27 @@ def median_and_sd(values: Floats, rows: Whole, n: int) -> tuple[Floats, Floats]:
     high = sorted_values[start + np.ceil(0.84 * (count - 1)).astype(np.int64)]
     sd[present] = (high - low) / 2.0
     return median, sd
+
+
+def _sums(weighted: Floats, group: Whole, n: int) -> Floats:
+    """Information `(n, 2, 2)` of each group."""
+    total = np.zeros((n, 2, 2))
+    np.add.at(total, group, weighted)
+    return total
+
+
+def _means(total: Floats, weighted: Floats, values: Floats, group: Whole) -> Floats:
+    """Mean `(n, 2)` of the values `(m, 2)` of each group, by their information `(m, 2, 2)`."""
+    vector = np.zeros((len(total), 2))
+    np.add.at(vector, group, np.einsum("nij,nj->ni", weighted, values))
+    return np.asarray(np.linalg.solve(total, vector[..., None])[..., 0], dtype=np.float64)
+
+
+def _distances(offset: Floats, information: Floats) -> Floats:
+    """Mahalanobis distances `(m,)`."""
+    return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", offset, information, offset)))
+
+
+def _huber(distance: Floats, limit: float) -> Floats:
+    """Weights `(m,)`: one within the limit, less beyond (Huber 1964)."""
+    return np.asarray(np.minimum(1.0, limit / np.maximum(distance, 1e-12)))
