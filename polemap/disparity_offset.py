@@ -66,9 +66,8 @@ class DisparityOffset:
 
     def __init__(self, rig: StereoRig, config: TrackingConfig) -> None:
         self._config = config
-        camera = rig.vehicle_from_camera
-        self._origin_m = np.array([camera.x_m, camera.y_m])
-        self._ahead = np.array([np.cos(camera.yaw_rad), np.sin(camera.yaw_rad)])
+        self._rig = rig
+        self._origin_m, self._ahead = _line_of_sight(rig)
         self._focal_baseline = rig.focal_px * rig.baseline_m
         self._sums: dict[int, _Sum] = {}
         self._pose = np.zeros(3)
@@ -101,9 +100,7 @@ class DisparityOffset:
 
     def corrected(self, points_vehicle_m: Floats) -> Floats:
         """Points `(n, 2)` from the camera's own disparities, moved by the present value."""
-        ray = points_vehicle_m - self._origin_m
-        short = 1.0 + self.value_px * (ray @ self._ahead) / self._focal_baseline
-        return np.asarray(self._origin_m + ray / short[:, np.newaxis])
+        return with_disparity(points_vehicle_m, self.value_px, self._rig)
 
     def per_px(self, points_vehicle_m: Floats) -> Floats:
         """How points `(n, 2)` move if the disparities are one pixel more: nearer along the ray."""
@@ -176,3 +173,20 @@ class DisparityOffset:
         if change**2 > _LARGEST_SD**2 * max(before[0, 0] - after[0, 0], _LEAST_VARIANCE):
             return known
         return known[0] + said, known[1] + weighted
+
+
+def with_disparity(points_vehicle_m: Floats, more_px: float, rig: StereoRig) -> Floats:
+    """The points `(n, 2)`, vehicle frame, with all disparities `more_px` greater."""
+    origin_m, ahead = _line_of_sight(rig)
+    ray = points_vehicle_m - origin_m
+    short = 1.0 + more_px * (ray @ ahead) / (rig.focal_px * rig.baseline_m)
+    return np.asarray(origin_m + ray / short[:, np.newaxis])
+
+
+def _line_of_sight(rig: StereoRig) -> tuple[Floats, Floats]:
+    """Place of the left camera and where it looks, `(2,)` each, vehicle frame."""
+    camera = rig.vehicle_from_camera
+    return (
+        np.array([camera.x_m, camera.y_m]),
+        np.array([np.cos(camera.yaw_rad), np.sin(camera.yaw_rad)]),
+    )

@@ -56,11 +56,3 @@ def _disparity(points_vehicle_m: Floats, rig: StereoRig) -> Floats:
     """Disparity and column `(n, 2)` of points on the ground."""
     u, _, d = rig.project(np.column_stack([points_vehicle_m, np.zeros(len(points_vehicle_m))])).T
     return np.column_stack([d, u])
-
-
-def with_disparity(points_vehicle_m: Floats, more_px: float, rig: StereoRig) -> Floats:
-    """The points `(n, 2)`, vehicle frame, with all disparities `more_px` greater."""
-    mount = rig.vehicle_from_camera
-    origin = np.array([mount.x_m, mount.y_m])
-    disparity = _disparity(points_vehicle_m, rig)[:, :1]
-    return np.asarray(origin + (points_vehicle_m - origin) * disparity / (disparity + more_px))

@@ -19,9 +19,10 @@ from drivelog.errors import FrameError, InputError
 from polemap.classifier import PoleClassifier, fit_classifier
 from polemap.config import DetectionConfig
 from polemap.detection import detect
+from polemap.disparity_offset import with_disparity
 from polemap.features import NAMES
 from polemap.landmark_map import PoleMap
-from polemap.map_offset import offset_from_map, with_disparity
+from polemap.map_offset import offset_from_map
 from stereo.matching import StereoMatcher
 from vehicle.pose import Pose2D
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from polemap.disparity_offset import with_disparity
 from polemap.landmark_map import PoleMap
-from polemap.map_offset import offset_from_map, with_disparity
+from polemap.map_offset import offset_from_map
 from stereo.rig import Mounting, StereoRig
 from tests.pole_maps import plain_map
 from vehicle.pose import Pose2D
