@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
-NATIVE := $(wildcard stereo/native/*.cpp stereo/native/*.hpp polemap/native/*.cpp polemap/native/*.hpp simulate/native/*.cpp)
+NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp)
 
 .PHONY: setup demo test check lint bench campaign lock clean
 

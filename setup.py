@@ -6,9 +6,12 @@ from pybind11.setup_helpers import Pybind11Extension
 from setuptools import setup
 
 KERNELS = {
-    "stereo.native.census_kernel": "stereo/native/census_kernel.cpp",
-    "polemap.native.assignment_kernel": "polemap/native/assignment_kernel.cpp",
-    "simulate.native.shading_kernel": "simulate/native/shading_kernel.cpp",
+    module: f"{module.replace('.', '/')}.cpp"
+    for module in (
+        "polemap.stereo.native.census_kernel",
+        "polemap.localize.particle_filter.native.assignment_kernel",
+        "polemap.simulate.native.shading_kernel",
+    )
 }
 # Python's own flags bring -fwrapv, under which GCC 12 no longer vectorises the matcher's loops:
 # measured, it is fifteen times slower with it

@@ -6,14 +6,14 @@ import time
 
 import numpy as np
 
-from vehicle.config import EstimatorConfig
-from vehicle.estimators.base import CAMERA, YAW_RATE, Estimator, Inputs
-from vehicle.estimators.registry import make_estimator
-from vehicle.io import load_car
-from vehicle.lane import LaneFinder
-from vehicle.road_plane import RoadCamera
-from vehicle.signals import play
-from vehicle.studies.scenes import Scene, drive_with_camera
+from polemap.electric.config import EstimatorConfig
+from polemap.electric.estimators.base import CAMERA, YAW_RATE, Estimator, Inputs
+from polemap.electric.estimators.registry import make_estimator
+from polemap.electric.signals import play
+from polemap.electric.studies.scenes import Scene, drive_with_camera
+from polemap.stereo.lane import LaneFinder
+from polemap.stereo.road_plane import RoadCamera
+from polemap.vehicle.io import load_car
 
 STEPS, WARM, FRAME, DELAY = 30_000, 2_000, 33, 33
 LOG_S = 60.0

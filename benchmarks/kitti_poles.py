@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import RECORDINGS
-from drivelog.drive import Drive, open_drive
-from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
-from polemap.evaluation import FrameRecord, Score, record, score_frames, score_tracks
-from polemap.io import read_map
-from polemap.landmark_map import PoleMap
-from polemap.models.io import read_classifier
+from polemap.detect.classifier import PoleClassifier
+from polemap.detect.models.io import read_classifier
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
+from polemap.map.io import read_map
+from polemap.map.landmark_map import PoleMap
 from polemap.perception import PolePerception, looks
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import make_matcher
 from polemap.training import Samples, TrainingConfig, collect, train
-from stereo.config import StereoConfig
-from stereo.matching import make_matcher
 
 KITTI = RECORDINGS / "kitti_odometry"
 UNMAPPED = Path(__file__).parent / "kitti_03_unmapped_poles.csv"

@@ -24,21 +24,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.report_routes import CORNERS_M, short_world
-from drivelog.drive import Drive, open_drive
-from drivelog.samples import Image, PoleScan, StereoFrame
-from localize.config import LocalizeConfig
-from localize.metrics import nees, pose_errors
-from localize.replay import Trajectory, replay
-from polemap.build import build_map
+from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
-from polemap.landmark_map import PoleMap
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.samples import Image, PoleScan, StereoFrame
+from polemap.evaluation.metrics import nees, pose_errors
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.replay import Trajectory, replay
+from polemap.map.landmark_map import PoleMap
 from polemap.perception import PolePerception
-from simulate.config import SimulateConfig
-from simulate.drive import Plan, Studio, make_plan, simulate_drive
-from simulate.scenario import Scenario
-from simulate.world import World, make_world
-from stereo.config import StereoConfig
-from stereo.matching import DisparityPair, StereoMatcher, make_matcher
+from polemap.simulate.config import SimulateConfig
+from polemap.simulate.drive import Plan, Studio, make_plan, simulate_drive
+from polemap.simulate.scenario import Scenario
+from polemap.simulate.world import World, make_world
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
 
 Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivelog.frames import EarthFrame
-from polemap.io import read_map, write_map
-from polemap.landmark_map import PoleMap
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.io import read_map, write_map
+from polemap.map.landmark_map import PoleMap
 
 POLES = 10_000_000
 RADIUS_M = 30.0

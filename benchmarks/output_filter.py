@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from localize.config import LocalizeConfig
-from localize.ctrv_kernel import unpack
-from localize.metrics import nees, pose_errors
-from localize.output_config import OutputConfig
-from localize.output_filter import OutputFilter
-from localize.replay import replay
-from simulate.point_drive import PointDrive, PointPose, point_drive
-from simulate.pole_street import pole_street
+from polemap.evaluation.metrics import nees, pose_errors
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.output_filter.ctrv_kernel import unpack
+from polemap.localize.output_filter.filter import OutputFilter
+from polemap.localize.replay import replay
+from polemap.simulate.point_drive import PointDrive, PointPose, point_drive
+from polemap.simulate.pole_street import pole_street
 
 Floats = NDArray[np.float64]
 Event = tuple[float, int, Any]

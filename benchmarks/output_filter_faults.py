@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.output_filter import Event, events_of, show
-from localize.config import LocalizeConfig
-from localize.estimate import PfEstimate
-from localize.health import HealthRecord
-from localize.localizer import Localizer
-from simulate.point_drive import PointDrive, PointPose, point_drive
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.localizer import Localizer
+from polemap.localize.particle_filter.estimate import PfEstimate
+from polemap.localize.particle_filter.health import HealthRecord
+from polemap.simulate.point_drive import PointDrive, PointPose, point_drive
 
 Floats = NDArray[np.float64]
 Fault = Callable[[PointDrive, list[Event]], list[Event]]

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import GnssFix, OdometrySample, PoleScan
-from localize.config import LocalizeConfig
-from localize.estimate import PfEstimate
-from localize.particle_filter import ParticleFilter
-from simulate.point_world import PointDrive, PointScenario, simulate_points
-from vehicle.pose import wrap_angle
+from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.particle_filter.estimate import PfEstimate
+from polemap.localize.particle_filter.filter import ParticleFilter
+from polemap.simulate.point_world import PointDrive, PointScenario, simulate_points
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 

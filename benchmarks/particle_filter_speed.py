@@ -14,13 +14,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.frames import EarthFrame
-from drivelog.samples import OdometrySample, PoleScan, VisibleRegion
-from localize.config import LocalizeConfig
-from localize.particle_filter import ParticleFilter
-from polemap.association import assign, pair_gains, pole_log_likelihood
-from polemap.landmark_map import PoleMap
-from polemap.pole_model import Landmarks, PoleModel
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import OdometrySample, PoleScan, VisibleRegion
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.particle_filter.assignment import assign, pair_gains, pole_log_likelihood
+from polemap.localize.particle_filter.filter import ParticleFilter
+from polemap.localize.particle_filter.pole_model import Landmarks, PoleModel
+from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
 

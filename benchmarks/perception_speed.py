@@ -22,16 +22,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-import polemap.detection as detection
+import polemap.detect.detection as detection
 from benchmarks import RECORDINGS
 from benchmarks.streets import open_street
-from drivelog.drive import open_drive
-from drivelog.samples import OdometrySample, PoleScan, StereoFrame
 from polemap.config import PolemapConfig
+from polemap.drivelog.drive import open_drive
+from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
 from polemap.perception import PolePerception, samples_to_see
-from stereo.config import StereoConfig
-from stereo.matching import make_matcher
-from stereo.rig import StereoRig
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import make_matcher
+from polemap.stereo.rig import StereoRig
 
 Samples = list[OdometrySample | StereoFrame | PoleScan]
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.matching import Image
+from polemap.stereo.matching import Image
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -22,12 +22,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_file
-from simulate.route import make_route
-from simulate.scenario import Scenario, load_scenario
-from tools.report.laps import find_stretches
-from tools.report.repeatability import deviations, guides_of, repeatability
-from tools.report.trajectory import Trajectory
+from polemap.drivelog.atomic import atomic_file
+from polemap.evaluation.laps import find_stretches
+from polemap.evaluation.repeatability import deviations, guides_of, repeatability
+from polemap.evaluation.trajectory import Trajectory
+from polemap.simulate.route import make_route
+from polemap.simulate.scenario import Scenario, load_scenario
 
 # Street and laps of the worlds, on a shorter way round: a lap of 40 s keeps the whole in its time.
 CORNERS_M: dict[str, list[tuple[float, float]] | None] = {

@@ -24,15 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.streets import open_street
-from drivelog.frames import EarthFrame
-from drivelog.samples import StereoFrame
 from polemap.config import PolemapConfig
-from polemap.evaluation import FrameRecord, match, record, score_frames, score_tracks
-from polemap.landmark_map import PoleMap
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import StereoFrame
+from polemap.evaluation.detections import FrameRecord, match, record, score_frames, score_tracks
+from polemap.map.landmark_map import PoleMap
 from polemap.perception import Look, PolePerception
-from simulate.truth import true_map
-from stereo.rig import StereoRig
-from vehicle.pose import Pose2D
+from polemap.simulate.truth import true_map
+from polemap.stereo.rig import StereoRig
+from polemap.vehicle.pose import Pose2D
 
 Floats = NDArray[np.float64]
 

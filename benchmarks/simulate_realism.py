@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from benchmarks import RECORDINGS
 from benchmarks.registration import Windows, register, together
 from benchmarks.stereo_pairs import read_grey, read_truth
-from simulate.config import RenderConfig, SimulateConfig, kitti_camera
-from simulate.drive import Studio, make_plan
-from simulate.render import View
-from simulate.scenario import load_scenario, scenario_names
-from simulate.world import make_world
-from stereo.config import StereoConfig
-from stereo.matching import make_matcher
-from stereo.rig import StereoRig
+from polemap.simulate.config import RenderConfig, SimulateConfig, kitti_camera
+from polemap.simulate.drive import Studio, make_plan
+from polemap.simulate.render import View
+from polemap.simulate.scenario import load_scenario, scenario_names
+from polemap.simulate.world import make_world
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import make_matcher
+from polemap.stereo.rig import StereoRig
 
 KITTI = RECORDINGS / "kitti_2015" / "training"
 PAIRS_A_SEED = 2

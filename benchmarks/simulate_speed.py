@@ -12,10 +12,10 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from simulate.config import RenderConfig, SimulateConfig
-from simulate.drive import Studio, make_plan
-from simulate.scenario import load_scenario
-from simulate.world import make_world
+from polemap.simulate.config import RenderConfig, SimulateConfig
+from polemap.simulate.drive import Studio, make_plan
+from polemap.simulate.scenario import load_scenario
+from polemap.simulate.world import make_world
 
 ROUNDS = 7
 MODES = {

@@ -19,15 +19,15 @@ import numpy as np
 from sklearn.metrics import average_precision_score
 
 from benchmarks.kitti_poles import KITTI, UNMAPPED
-from drivelog.drive import open_drive
-from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
-from polemap.io import read_map
+from polemap.detect.classifier import PoleClassifier
+from polemap.drivelog.drive import open_drive
+from polemap.map.io import read_map
+from polemap.simulate.config import SimulateConfig, kitti_camera
+from polemap.simulate.drive import simulate_drive
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import make_matcher
 from polemap.training import Samples, TrainingConfig, collect, join, train
-from simulate.config import SimulateConfig, kitti_camera
-from simulate.drive import simulate_drive
-from stereo.config import StereoConfig
-from stereo.matching import make_matcher
 
 # world, pictures a second
 DRIVES = (("suburb", 0.8), ("park_loop", 1.5), ("avenue", 0.6))

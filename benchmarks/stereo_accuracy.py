@@ -23,10 +23,10 @@ from benchmarks.stereo_curves import fitted_law, signs
 from benchmarks.stereo_pairs import Pair, read_pairs
 from benchmarks.stereo_scenes import PoleScore, rendered_scene, score_poles
 from benchmarks.stereo_variants import variants
-from stereo.config import StereoConfig
-from stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
-from stereo.matching import StereoMatcher, make_matcher
-from stereo.trust import TrustLaw
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
+from polemap.stereo.matching import StereoMatcher, make_matcher
+from polemap.stereo.trust import TrustLaw
 
 
 def rate(pairs: list[Pair], maps: list[NDArray[np.float32]]) -> dict[str, float]:

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from benchmarks.stereo_pairs import Pair, read_pairs
 from benchmarks.stereo_variants import variants
-from stereo.checks import without_speckles
-from stereo.config import StereoConfig
-from stereo.matching import DisparityPair, make_matcher
-from stereo.trust import OFFSET_LEAST_PX, TrustLaw, column_offset_px, disagreement_px
+from polemap.stereo.checks import without_speckles
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import DisparityPair, make_matcher
+from polemap.stereo.trust import OFFSET_LEAST_PX, TrustLaw, column_offset_px, disagreement_px
 
 DENSITIES = (93, 92, 91, 90, 89, 88, 86, 84, 82, 80, 78, 75, 70)
 MARGINS = (0, 2, 5, 10, 20, 30, 45, 60, 80)

@@ -20,9 +20,9 @@ import numpy as np
 from benchmarks.stereo_accuracy import score_rendered
 from benchmarks.stereo_curves import Signs, at_densities, signs
 from benchmarks.stereo_pairs import Pair, read_pairs
-from stereo.config import Penalties, StepPenalty, StereoConfig
-from stereo.matching import make_matcher
-from stereo.trust import LAWS
+from polemap.stereo.config import Penalties, StepPenalty, StereoConfig
+from polemap.stereo.matching import make_matcher
+from polemap.stereo.trust import LAWS
 
 P1 = (3, 5, 8)
 ACROSS = ((110, 4.0), (110, 8.0), (150, 12.0), (180, 20.0))  # gamma, alpha

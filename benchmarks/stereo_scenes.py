@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.matching import Image
+from polemap.stereo.matching import Image
 
 Floats = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from benchmarks.stereo_pairs import read_grey
 from benchmarks.stereo_scenes import rendered_scene
-from stereo.config import OpenCvConfig, StereoConfig
-from stereo.matching import Image, StereoMatcher, make_matcher
+from polemap.stereo.config import OpenCvConfig, StereoConfig
+from polemap.stereo.matching import Image, StereoMatcher, make_matcher
 
 SIZE_PX = (768, 480)
 
@@ -27,7 +27,7 @@ def matchers() -> dict[str, tuple[StereoMatcher, int]]:
     """Every variant that is measured, and its number of disparities."""
     found: dict[str, tuple[StereoMatcher, int]] = {}
     for disparities in (64, 128):
-        for kind in import_module("stereo.native.census_kernel").instruction_sets():
+        for kind in import_module("polemap.stereo.native.census_kernel").instruction_sets():
             for paths, right in ((8, "shared"), (4, "own"), (8, "own")):
                 config = StereoConfig(
                     disparities=disparities, paths=paths, right_map=right, instruction_set=kind

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stereo.config import OpenCvConfig, StereoConfig
+from polemap.stereo.config import OpenCvConfig, StereoConfig
 
 
 def variants(disparities: int = 128) -> dict[str, StereoConfig]:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivelog.streams import OdometryStream
-from simulate import sensors
-from simulate.config import RenderConfig, SimulateConfig
-from simulate.drive import Plan, Studio, make_plan
-from simulate.scenario import load_scenario
-from simulate.world import World, make_world
+from polemap.drivelog.streams import OdometryStream
+from polemap.simulate import sensors
+from polemap.simulate.config import RenderConfig, SimulateConfig
+from polemap.simulate.drive import Plan, Studio, make_plan
+from polemap.simulate.scenario import load_scenario
+from polemap.simulate.world import World, make_world
 
 
 @dataclass(frozen=True, slots=True)

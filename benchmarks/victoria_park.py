@@ -23,13 +23,13 @@ from scipy.spatial import KDTree
 
 from benchmarks import RECORDINGS
 from benchmarks.particle_filter_recovery import A_THIRD_OF_THE_NOISE
-from drivelog.drive import Drive, open_drive
-from drivelog.samples import PoleScan
-from localize.config import LocalizeConfig
-from localize.replay import Run, Trajectory, replay
-from polemap.build import build_map
+from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
-from polemap.landmark_map import PoleMap
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.samples import PoleScan
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.replay import Run, Trajectory, replay
+from polemap.map.landmark_map import PoleMap
 from polemap.perception import scan_drive
 
 Floats = NDArray[np.float64]

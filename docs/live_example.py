@@ -3,8 +3,8 @@ import time
 
 import numpy as np
 
-from localize.config import LocalizeConfig
-from localize.localizer import Localizer
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.localizer import Localizer
 
 
 def drive(pole_map, samples, steer):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tools.report.style import FAINT, INK, LAPS, SHADE, drawing, finish
+from polemap.tools.report.style import FAINT, INK, LAPS, SHADE, drawing, finish
 
 HERE = Path(__file__).resolve().parent
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
 
-from drivelog.errors import InputError
+from polemap.drivelog.errors import InputError
 
 # stands in every folder written here, and says that it may be replaced
 MARKER = ".polemap"

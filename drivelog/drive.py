@@ -11,11 +11,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import InputError
-from drivelog.frames import EarthFrame
-from drivelog.samples import Image, PoleScan, Sample, StereoFrame
-from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from stereo.rig import StereoRig
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import Image, PoleScan, Sample, StereoFrame
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

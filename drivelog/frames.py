@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError
 
-from drivelog.errors import FrameError, InputError
+from polemap.drivelog.errors import FrameError, InputError
 
 Floats = NDArray[np.float64]
 WGS84 = 4326

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import InputError
-from drivelog.samples import Image
-from stereo.rig import StereoRig
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import Image
+from polemap.stereo.rig import StereoRig
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 

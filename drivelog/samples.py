@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from vehicle.pose import Pose2D
+from polemap.vehicle.pose import Pose2D
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8] | NDArray[np.uint16]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import GnssFix, OdometrySample, ReferencePose
-from vehicle.pose import Pose2D, wrap_angle
+from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose
+from polemap.vehicle.pose import Pose2D, wrap_angle
 
 Floats = NDArray[np.float64]
 Rows = slice | NDArray[np.bool_] | NDArray[np.int64]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from drivelog.errors import InputError
+from polemap.drivelog.errors import InputError
 
 Floats = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import OdometrySample
-from localize.config import LocalizeConfig
-from localize.odometry_history import OdometryHistory
-from vehicle.pose import wrap_angle
+from polemap.drivelog.samples import OdometrySample
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.odometry_history import OdometryHistory
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from math import isfinite
 
-from localize.output_config import OutputConfig
+from polemap.localize.output_filter.config import OutputConfig
 
 # samples that agree on a step do so to this
 _AGREE_S = 0.05

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from localize.output_config import OutputConfig
+from polemap.localize.output_filter.config import OutputConfig
 
 
 class LocalizeConfig(BaseModel):

@@ -12,9 +12,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_file
-from drivelog.errors import InputError
-from localize.replay import Run, Trajectory
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import InputError
+from polemap.localize.replay import Run, Trajectory
 
 Floats = NDArray[np.float64]
 

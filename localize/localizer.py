@@ -14,19 +14,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import InputError
-from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, StereoFrame
-from localize.calibration import OdometryCorrection
-from localize.clocks import StreamClock
-from localize.config import LocalizeConfig
-from localize.estimate import PfEstimate
-from localize.output_config import OutputConfig
-from localize.output_filter import OutputFilter, usable_pose
-from localize.output_limiter import OutputLimiter, OutputPose
-from localize.particle_filter import ParticleFilter
-from localize.stage_times import StageTimes
-from polemap.landmark_map import PoleMap
-from vehicle.delay import Placement
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, StereoFrame
+from polemap.localize.calibration import OdometryCorrection
+from polemap.localize.clocks import StreamClock
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.output_filter.filter import OutputFilter, usable_pose
+from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
+from polemap.localize.particle_filter.estimate import PfEstimate
+from polemap.localize.particle_filter.filter import ParticleFilter
+from polemap.localize.stage_times import StageTimes
+from polemap.map.landmark_map import PoleMap
+from polemap.vehicle.delay import Placement
 
 Floats = NDArray[np.float64]
 

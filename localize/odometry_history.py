@@ -15,8 +15,8 @@ from math import cos, inf, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import OdometrySample
-from vehicle.motion import sinc
+from polemap.drivelog.samples import OdometrySample
+from polemap.vehicle.motion import sinc
 
 Floats = NDArray[np.float64]
 _KEEP_S = 90.0

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.drive import Drive
-from drivelog.errors import FrameError, InputError
-from drivelog.samples import GnssFix, OdometrySample, PoleScan
-from localize.config import LocalizeConfig
-from localize.localizer import Localizer, PoseUpdate
-from localize.metrics import accuracy, smoothness, timing_summary
-from polemap.landmark_map import PoleMap
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
+from polemap.evaluation.metrics import accuracy, smoothness, timing_summary
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.localizer import Localizer, PoseUpdate
+from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
 _Input = OdometrySample | GnssFix | PoleScan

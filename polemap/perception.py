@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from drivelog.drive import Drive
-from drivelog.errors import InputError
-from drivelog.samples import OdometrySample, PoleScan, StereoFrame, VisibleRegion
-from polemap.classifier import PoleClassifier
 from polemap.config import PolemapConfig
-from polemap.detection import FrameView, detect
-from polemap.disparity_offset import DisparityOffset
-from polemap.models.io import read_classifier
-from polemap.odometry_window import OdometryWindow
-from polemap.tracking import PoleTracker
-from polemap.tracks import Sighting, Tracks
-from stereo.config import StereoConfig
-from stereo.matching import DisparityPair, StereoMatcher, make_matcher
-from stereo.rig import StereoRig
+from polemap.detect.classifier import PoleClassifier
+from polemap.detect.detection import FrameView, detect
+from polemap.detect.models.io import read_classifier
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame, VisibleRegion
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
+from polemap.stereo.rig import StereoRig
+from polemap.track.disparity_offset import DisparityOffset
+from polemap.track.odometry_window import OdometryWindow
+from polemap.track.tracking import PoleTracker
+from polemap.track.tracks import Sighting, Tracks
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.drive import Drive
-from drivelog.errors import FrameError, InputError
-from polemap.classifier import PoleClassifier, fit_classifier
-from polemap.config import DetectionConfig
-from polemap.detection import detect
-from polemap.disparity_offset import with_disparity
-from polemap.features import NAMES
-from polemap.landmark_map import PoleMap
-from polemap.map_offset import offset_from_map
-from stereo.matching import StereoMatcher
-from vehicle.pose import Pose2D
+from polemap.build.map_offset import offset_from_map
+from polemap.detect.classifier import PoleClassifier, fit_classifier
+from polemap.detect.config import DetectionConfig
+from polemap.detect.detection import detect
+from polemap.detect.features import NAMES
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.map.landmark_map import PoleMap
+from polemap.stereo.matching import StereoMatcher
+from polemap.track.disparity_offset import with_disparity
+from polemap.vehicle.pose import Pose2D
 
 Floats = NDArray[np.float64]
 

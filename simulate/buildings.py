@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulate.materials import TILES
-from simulate.mesh import Mesh, box, cylinder, join, panel, quads, triangles
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import Mesh, box, cylinder, join, panel, quads, triangles
 
 
 @dataclass(frozen=True, slots=True)

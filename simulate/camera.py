@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import Image
-from simulate.config import CameraConfig
+from polemap.drivelog.samples import Image
+from polemap.simulate.config import CameraConfig
 
 Floats32 = NDArray[np.float32]
 

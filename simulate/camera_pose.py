@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.rig import StereoRig
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from simulate.faults import Fault
-from stereo.rig import Mounting, StereoRig
+from polemap.simulate.faults import Fault
+from polemap.stereo.rig import Mounting, StereoRig
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

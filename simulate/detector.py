@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import PoleScan, VisibleRegion
-from simulate.config import DetectorConfig
+from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.simulate.config import DetectorConfig
 
 Floats = NDArray[np.float64]
 

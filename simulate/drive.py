@@ -16,32 +16,32 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_folder
-from drivelog.drive import Lap, open_drive
-from drivelog.frames import EarthFrame
-from drivelog.samples import Image
-from drivelog.writers.folder import FolderWriter, folder_writer, write_drive
-from polemap.io import read_map, write_map
-from simulate import sensors
-from simulate.camera import expose, exposure_of, make_units
-from simulate.camera_pose import camera_poses
-from simulate.config import SimulateConfig
-from simulate.driver import Motion, drive_route
-from simulate.dynamics import CAR
-from simulate.faults import age_map, apply_faults
-from simulate.render import Renderer, RenderOptions, View
-from simulate.route import Route, make_route
-from simulate.scenario import Scenario, load_scenario
-from simulate.traffic import make_traffic, moving_mesh
-from simulate.truth import (
+from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.drive import Lap, open_drive
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import Image
+from polemap.drivelog.writers.folder import FolderWriter, folder_writer, write_drive
+from polemap.map.io import read_map, write_map
+from polemap.simulate import sensors
+from polemap.simulate.camera import expose, exposure_of, make_units
+from polemap.simulate.camera_pose import camera_poses
+from polemap.simulate.config import SimulateConfig
+from polemap.simulate.driver import Motion, drive_route
+from polemap.simulate.dynamics import CAR
+from polemap.simulate.faults import age_map, apply_faults
+from polemap.simulate.render import Renderer, RenderOptions, View
+from polemap.simulate.route import Route, make_route
+from polemap.simulate.scenario import Scenario, load_scenario
+from polemap.simulate.traffic import make_traffic, moving_mesh
+from polemap.simulate.truth import (
     carry_truth,
     to_disparity_png,
     to_owner_png,
     write_truth,
     write_truth_pictures,
 )
-from simulate.world import World, make_world
-from stereo.rig import rotation_from_angles
+from polemap.simulate.world import World, make_world
+from polemap.stereo.rig import rotation_from_angles
 
 Floats = NDArray[np.float64]
 _FEW = 24

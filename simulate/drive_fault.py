@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivelog.drive import Drive
+from polemap.drivelog.drive import Drive
 
 Floats = NDArray[np.float64]
 Share = Annotated[float, Field(ge=0, le=1)]

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from simulate.dynamics import CAR, follow
-from simulate.route import Route
-from simulate.scenario import DriveSpec
-from simulate.way import GRID_M, Way, make_way
+from polemap.simulate.dynamics import CAR, follow
+from polemap.simulate.route import Route
+from polemap.simulate.scenario import DriveSpec
+from polemap.simulate.way import GRID_M, Way, make_way
 
 Floats = NDArray[np.float64]
 STEP_S = 0.005

@@ -12,8 +12,8 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from vehicle.parameters import Car
-from vehicle.single_track import lateral, schedule
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import lateral, schedule
 
 Floats = NDArray[np.float64]
 _PREVIEW_S = 0.22

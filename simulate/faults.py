@@ -13,10 +13,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from drivelog.drive import Drive
-from polemap.landmark_map import PoleMap
-from simulate.drive_fault import DriveFault
-from simulate.frame_faults import (
+from polemap.drivelog.drive import Drive
+from polemap.map.landmark_map import PoleMap
+from polemap.simulate.drive_fault import DriveFault
+from polemap.simulate.frame_faults import (
     BlurredFrames,
     DirtyLens,
     DroppedFrames,
@@ -25,8 +25,8 @@ from simulate.frame_faults import (
     OverExposed,
     SwappedCameras,
 )
-from simulate.map_faults import MapFault, PolesAdded, PolesRemoved
-from simulate.stream_faults import (
+from polemap.simulate.map_faults import MapFault, PolesAdded, PolesRemoved
+from polemap.simulate.stream_faults import (
     ClockJump,
     GnssDropout,
     GnssOffset,

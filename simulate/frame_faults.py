@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from drivelog.drive import Drive, FrameSource
-from drivelog.samples import Image
-from simulate import picture_faults
-from simulate.drive_fault import DriveFault, Share
+from polemap.drivelog.drive import Drive, FrameSource
+from polemap.drivelog.samples import Image
+from polemap.simulate import picture_faults
+from polemap.simulate.drive_fault import DriveFault, Share
 
 Pair = tuple[Image, Image]
 PairFault = Callable[[Pair, int], Pair]

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.materials import TILES
-from simulate.mesh import Mesh, join, quads
-from simulate.route import CrossSection, Route
-from simulate.scenario import SectionSpec, SideStreetSpec
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import Mesh, join, quads
+from polemap.simulate.route import CrossSection, Route
+from polemap.simulate.scenario import SectionSpec, SideStreetSpec
 
 Floats = NDArray[np.float64]
 _REPEATS = {

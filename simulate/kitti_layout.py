@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_folder
-from drivelog.drive import Drive
-from drivelog.errors import ConfigError, InputError
-from polemap.landmark_map import PoleMap
-from stereo.rig import StereoRig
+from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import ConfigError, InputError
+from polemap.map.landmark_map import PoleMap
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_folder
-from drivelog.drive import Drive
-from drivelog.errors import ConfigError
-from drivelog.frames import convergence_rad, geographic_from_grid
-from drivelog.readers.kitti import CAMERA_AHEAD_M, OXTS_BEHIND_M
-from polemap.io import write_map
-from polemap.landmark_map import PoleMap
-from simulate.kitti_layout import picture_poses, write_pairs
-from stereo.rig import StereoRig
-from vehicle.pose import wrap_angle
+from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.frames import convergence_rad, geographic_from_grid
+from polemap.drivelog.readers.kitti import CAMERA_AHEAD_M, OXTS_BEHIND_M
+from polemap.map.io import write_map
+from polemap.map.landmark_map import PoleMap
+from polemap.simulate.kitti_layout import picture_poses, write_pairs
+from polemap.stereo.rig import StereoRig
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 DAY = datetime(2011, 9, 26, 12, tzinfo=UTC)

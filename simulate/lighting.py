@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.patterns import TILE_PX, fractal
-from simulate.raycast import Caster
-from simulate.textures import read_picture
-from simulate.world import World
+from polemap.simulate.patterns import TILE_PX, fractal
+from polemap.simulate.raycast import Caster
+from polemap.simulate.textures import read_picture
+from polemap.simulate.world import World
 
 Floats32 = NDArray[np.float32]
 _MAP_LIMIT_PX = 5000

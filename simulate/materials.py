@@ -11,7 +11,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from simulate.patterns import TILE_PX, Texture, dead_leaves, fractal, stones
+from polemap.simulate.patterns import TILE_PX, Texture, dead_leaves, fractal, stones
 
 
 def _asphalt(rng: np.random.Generator) -> Texture:

@@ -12,8 +12,8 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from simulate.materials import TILES
-from simulate.mesh import Mesh, box, cylinder, join, panel, quads
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import Mesh, box, cylinder, join, panel, quads
 
 
 @dataclass(frozen=True, slots=True)

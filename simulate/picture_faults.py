@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import Image
-from stereo.rig import StereoRig
+from polemap.drivelog.samples import Image
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.camera_pose import CameraPose
-from simulate.raycast import Caster, Hits
-from stereo.rig import StereoRig
+from polemap.simulate.camera_pose import CameraPose
+from polemap.simulate.raycast import Caster, Hits
+from polemap.stereo.rig import StereoRig
 
 Floats32 = NDArray[np.float32]
 

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import copysign, cos, hypot, isfinite, sin
 
-from drivelog.errors import ConfigError
-from simulate.tyre import brush_force, wheel_frame
+from polemap.drivelog.errors import ConfigError
+from polemap.vehicle.tyre import brush_force, wheel_frame
 
 GRAVITY_MPS2 = 9.81
 FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from drivelog.samples import GnssFix, OdometrySample
-from vehicle.motion import move_along_arc
-from vehicle.pose import wrap_angle
+from polemap.drivelog.samples import GnssFix, OdometrySample
+from polemap.vehicle.motion import move_along_arc
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 

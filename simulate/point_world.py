@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.frames import EarthFrame
-from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
-from polemap.landmark_map import PoleMap
-from simulate.config import DetectorConfig
-from simulate.detector import PoleDetector
-from vehicle.motion import move_along_arc
-from vehicle.pose import wrap_angle
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
+from polemap.map.landmark_map import PoleMap
+from polemap.simulate.config import DetectorConfig
+from polemap.simulate.detector import PoleDetector
+from polemap.vehicle.motion import move_along_arc
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from drivelog.drive import Drive
-from drivelog.frames import EarthFrame
-from drivelog.samples import PoleScan, VisibleRegion
-from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from polemap.landmark_map import PoleMap
-from simulate.point_drive import PointDrive, PointNoise, point_drive
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.map.landmark_map import PoleMap
+from polemap.simulate.point_drive import PointDrive, PointNoise, point_drive
 
 Floats = NDArray[np.float64]
 FRAME = EarthFrame("local", name="street")

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import ConfigError
-from simulate.mesh import Mesh
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.mesh import Mesh
 
 Floats32 = NDArray[np.float32]
 

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.camera_pose import CameraPose
-from simulate.lighting import make_lighting
-from simulate.mesh import Mesh
-from simulate.picture_rays import cast_picture, picture_rays, rays_through
-from simulate.raycast import Caster, Hits
-from simulate.shading import Shaded, make_shader
-from simulate.textures import make_atlas
-from simulate.world import World
-from stereo.rig import StereoRig
+from polemap.simulate.camera_pose import CameraPose
+from polemap.simulate.lighting import make_lighting
+from polemap.simulate.mesh import Mesh
+from polemap.simulate.picture_rays import cast_picture, picture_rays, rays_through
+from polemap.simulate.raycast import Caster, Hits
+from polemap.simulate.shading import Shaded, make_shader
+from polemap.simulate.textures import make_atlas
+from polemap.simulate.world import World
+from polemap.stereo.rig import StereoRig
 
 Floats32 = NDArray[np.float32]
 _SHADOW_REACH_M = 14.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from drivelog.errors import ConfigError
+from polemap.drivelog.errors import ConfigError
 
 Floats = NDArray[np.float64]
 _STEP_M = 0.25

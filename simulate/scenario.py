@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from drivelog.errors import ConfigError, InputError
+from polemap.drivelog.errors import ConfigError, InputError
 
 # from the rear axle's path to the kerb: half a car and a hand's breadth
 _BESIDE_AXLE_M = 1.1
@@ -201,7 +201,7 @@ class Scenario(_Part):
 
 def scenario_names() -> list[str]:
     """Names of the worlds that come with the package."""
-    folder = resources.files("simulate") / "scenarios"
+    folder = resources.files("polemap.simulate") / "scenarios"
     return sorted(f.name[:-5] for f in folder.iterdir() if f.name.endswith(".yaml"))
 
 
@@ -214,7 +214,9 @@ def load_scenario(name_or_file: str | Path) -> Scenario:
     """
     text_name = str(name_or_file)
     if text_name in scenario_names():
-        text = (resources.files("simulate") / "scenarios" / f"{text_name}.yaml").read_text("utf-8")
+        text = (resources.files("polemap.simulate") / "scenarios" / f"{text_name}.yaml").read_text(
+            "utf-8"
+        )
     else:
         path = Path(name_or_file)
         if not path.is_file():

@@ -7,20 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import PoleScan
-from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from simulate.config import (
+from polemap.drivelog.samples import PoleScan
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.simulate.config import (
     DetectorConfig,
     GnssConfig,
     LatencyConfig,
     OdometryConfig,
     ReferenceConfig,
 )
-from simulate.detector import PoleDetector
-from simulate.driver import Motion
-from simulate.skyline import Fronts, echoes
-from simulate.world import WorldObject
-from vehicle.pose import wrap_angle
+from polemap.simulate.detector import PoleDetector
+from polemap.simulate.driver import Motion
+from polemap.simulate.skyline import Fronts, echoes
+from polemap.simulate.world import WorldObject
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 # of a multipath error, how much lies along the front against across it

@@ -12,11 +12,11 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.lighting import Lighting
-from simulate.materials import TILES
-from simulate.mesh import Mesh
-from simulate.raycast import Hits
-from simulate.textures import Atlas
+from polemap.simulate.lighting import Lighting
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import Mesh
+from polemap.simulate.raycast import Hits
+from polemap.simulate.textures import Atlas
 
 Floats32 = NDArray[np.float32]
 Box = tuple[float, float, float, float]
@@ -80,7 +80,7 @@ class KernelShader:
     """Shades with the C++ extension."""
 
     def __init__(self, atlas: Atlas, light: Lighting, focal_px: float) -> None:
-        kernel: Any = import_module("simulate.native.shading_kernel")
+        kernel: Any = import_module("polemap.simulate.native.shading_kernel")
         self._kernel = kernel.Shader(
             atlas=atlas.pixels,
             corners=atlas.corner_px,

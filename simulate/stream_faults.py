@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from drivelog.drive import Drive
-from drivelog.streams import GnssStream, OdometryStream
-from simulate.drive_fault import DriveFault, Share
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.streams import GnssStream, OdometryStream
+from polemap.simulate.drive_fault import DriveFault, Share
 
 
 class NotANumber(DriveFault):

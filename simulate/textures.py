@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.materials import MAKERS, TILES
-from simulate.patterns import TILE_PX
+from polemap.simulate.materials import MAKERS, TILES
+from polemap.simulate.patterns import TILE_PX
 
 Floats32 = NDArray[np.float32]
 

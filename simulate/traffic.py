@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulate.driver import Motion
-from simulate.ground import kerb_m
-from simulate.mesh import Mesh, join
-from simulate.objects import person
-from simulate.vehicles import car, cyclist
-from simulate.world import World
+from polemap.simulate.driver import Motion
+from polemap.simulate.ground import kerb_m
+from polemap.simulate.mesh import Mesh, join
+from polemap.simulate.objects import person
+from polemap.simulate.vehicles import car, cyclist
+from polemap.simulate.world import World
 
 MOVER_ID = 100_000
 _LANE_M, _GAP_M = 1.7, 9.0

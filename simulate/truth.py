@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import InputError
-from drivelog.frames import EarthFrame
-from polemap.io import write_map
-from polemap.landmark_map import PoleMap
-from simulate.driver import Motion
-from simulate.traffic import MOVER_ID
-from simulate.world import World
-from vehicle.pose import wrap_angle
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.io import write_map
+from polemap.map.landmark_map import PoleMap
+from polemap.simulate.driver import Motion
+from polemap.simulate.traffic import MOVER_ID
+from polemap.simulate.world import World
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 TRUTH_FILES = ("objects.geojson", "standing.csv", "truth.csv", "signals.csv")

@@ -6,9 +6,9 @@ from math import cos, sin
 
 import numpy as np
 
-from simulate.materials import TILES
-from simulate.mesh import Mesh, box, cards, cylinder, join
-from simulate.objects import Maker, Standing, Wish, lean_slope, pick
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import Mesh, box, cards, cylinder, join
+from polemap.simulate.objects import Maker, Standing, Wish, lean_slope, pick
 
 
 def _crown(

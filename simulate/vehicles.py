@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from simulate.materials import TILES
-from simulate.mesh import Mesh, box, cylinder, join, panel, quads
-from simulate.objects import Maker, Standing, Wish, person
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import Mesh, box, cylinder, join, panel, quads
+from polemap.simulate.objects import Maker, Standing, Wish, person
 
 # side views: (x forward, z) of the lower body and of the cabin, as shares of length and height
 _CAR = ((-0.5, 0.18), (-0.5, 0.56), (0.47, 0.56), (0.5, 0.40), (0.5, 0.16))

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import ConfigError
-from simulate.route import Route
-from simulate.scenario import DriveSpec, UTurnSpec
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.route import Route
+from polemap.simulate.scenario import DriveSpec, UTurnSpec
 
 Floats = NDArray[np.float64]
 GRID_M = 0.25

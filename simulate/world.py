@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import ConfigError
-from simulate.buildings import backdrop, house
-from simulate.ground import kerb_m, make_ground, make_section, side_street
-from simulate.mesh import Mesh, join
-from simulate.objects import MAKERS, Maker, Wish
-from simulate.route import CrossSection, Route, make_route
-from simulate.scenario import HousesSpec, RowSpec, Scenario
-from simulate.skyline import Fronts
-from simulate.vegetation import PLANTS
-from simulate.vehicles import PARKED
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.buildings import backdrop, house
+from polemap.simulate.ground import kerb_m, make_ground, make_section, side_street
+from polemap.simulate.mesh import Mesh, join
+from polemap.simulate.objects import MAKERS, Maker, Wish
+from polemap.simulate.route import CrossSection, Route, make_route
+from polemap.simulate.scenario import HousesSpec, RowSpec, Scenario
+from polemap.simulate.skyline import Fronts
+from polemap.simulate.vegetation import PLANTS
+from polemap.simulate.vehicles import PARKED
 
 Floats = NDArray[np.float64]
 KINDS: dict[str, Maker] = {**MAKERS, **PLANTS, **PARKED}

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.config import Census
-from stereo.matching_types import Image
+from polemap.stereo.config import Census
+from polemap.stereo.matching_types import Image
 
 Bytes = NDArray[np.uint8]
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from stereo.census import census_pairs
-from stereo.checks import check_pair
-from stereo.config import StepPenalty, StereoConfig
-from stereo.errors import StereoError
-from stereo.matching_types import DisparityPair, Image
-from stereo.rig import StereoRig
+from polemap.stereo.census import census_pairs
+from polemap.stereo.checks import check_pair
+from polemap.stereo.config import StepPenalty, StereoConfig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching_types import DisparityPair, Image
+from polemap.stereo.rig import StereoRig
 
 _ALPHA_ONE = 1 << 16
 _SMOOTHING = {"none": 0, "upright": 1, "square": 2}
@@ -36,7 +36,7 @@ class CensusSgm:
     name = "census_sgm"
 
     def __init__(self, config: StereoConfig, rig: StereoRig | None = None) -> None:
-        census_kernel: Any = import_module("stereo.native.census_kernel")
+        census_kernel: Any = import_module("polemap.stereo.native.census_kernel")
 
         self._kernel = census_kernel
         self._config = config

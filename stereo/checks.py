@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.config import StereoConfig
-from stereo.errors import StereoError
-from stereo.matching_types import DisparityPair, Image
-from stereo.rig import StereoRig
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching_types import DisparityPair, Image
+from polemap.stereo.rig import StereoRig
 
 Disparity = NDArray[np.float32]
 

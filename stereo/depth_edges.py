@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.matching import DisparityPair
+from polemap.stereo.matching import DisparityPair
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]

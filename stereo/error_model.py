@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.errors import StereoError
-from stereo.matching_types import Image
-from stereo.rig import StereoRig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching_types import Image
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from stereo.errors import StereoError
-from stereo.rectify import CameraCalibration, Distortion, StereoCalibration
+from polemap.stereo.errors import StereoError
+from polemap.stereo.rectify import CameraCalibration, Distortion, StereoCalibration
 
 Floats = NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import warnings
 from functools import cache
 
-from stereo.census_sgm import CensusSgm
-from stereo.config import StereoConfig
-from stereo.matching_types import DisparityPair, Image, StereoMatcher
-from stereo.opencv_sgbm import OpenCvSgbm
-from stereo.rig import StereoRig
-from stereo.trust import DoubtFilter
+from polemap.stereo.census_sgm import CensusSgm
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching_types import DisparityPair, Image, StereoMatcher
+from polemap.stereo.opencv_sgbm import OpenCvSgbm
+from polemap.stereo.rig import StereoRig
+from polemap.stereo.trust import DoubtFilter
 
 __all__ = ["DisparityPair", "Image", "StereoMatcher", "make_matcher"]
 

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.census import census_planes, partial_ranks, rank_transform
-from stereo.checks import check_left_right, check_pair, without_speckles
-from stereo.config import Preprocessing, StereoConfig
-from stereo.matching_types import DisparityPair, Image
-from stereo.rig import StereoRig
+from polemap.stereo.census import census_planes, partial_ranks, rank_transform
+from polemap.stereo.checks import check_left_right, check_pair, without_speckles
+from polemap.stereo.config import Preprocessing, StereoConfig
+from polemap.stereo.matching_types import DisparityPair, Image
+from polemap.stereo.rig import StereoRig
 
 _MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,

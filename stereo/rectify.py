@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.errors import StereoError
-from stereo.matching_types import Image
-from stereo.rig import Mounting, StereoRig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching_types import Image
+from polemap.stereo.rig import Mounting, StereoRig
 
 Floats = NDArray[np.float64]
 Maps = NDArray[np.float32]

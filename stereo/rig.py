@@ -8,7 +8,7 @@ from math import cos, isfinite, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.errors import StereoError
+from polemap.stereo.errors import StereoError
 
 Floats = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.checks import Disparity, difference_px
-from stereo.errors import StereoError
-from stereo.matching_types import DisparityPair, Image, StereoMatcher
+from polemap.stereo.checks import Disparity, difference_px
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching_types import DisparityPair, Image, StereoMatcher
 
 AREA_PX = (9, 31)  # width, height: mostly along what stands upright
 COLUMN_PX = (1, 21)

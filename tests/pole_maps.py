@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivelog.frames import EarthFrame
-from drivelog.samples import PoleScan
-from polemap.landmark_map import PoleMap
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import PoleScan
+from polemap.map.landmark_map import PoleMap
 
 
 def plain_map(

@@ -12,24 +12,24 @@ from importlib import import_module
 import typer
 from typer import TyperException
 
-from drivelog.errors import PolemapError
 from polemap import __version__
-from stereo.errors import StereoError
-from vehicle.errors import VehicleError
+from polemap.drivelog.errors import PolemapError
+from polemap.stereo.errors import StereoError
+from polemap.vehicle.errors import VehicleError
 
 # verb: (module with its function `command`, what it does)
 VERBS = {
-    "demo": ("tools.demo", "The whole main job on an embedded simulated drive."),
-    "simulate": ("tools.simulate", "Write a simulated drive."),
-    "info": ("tools.info", "Say what is inside a drive or a map."),
-    "disparity": ("tools.disparity", "Match one rectified stereo pair."),
-    "detect": ("tools.detect", "Find the poles in the frames of a drive."),
-    "train": ("tools.train", "Train the pole classifier on drives with a known pole map."),
-    "map": ("tools.map", "Build, update or compare pole maps."),
-    "localize": ("tools.localize", "Replay a drive against a map."),
-    "report": ("tools.report.command", "Report repeatability and accuracy of runs."),
-    "estimate": ("tools.estimate", "Run a side-slip or velocity estimator on a signal log."),
-    "study": ("tools.study", "Rerun a source paper's simulation beside its claims."),
+    "demo": ("demo", "The whole main job on an embedded simulated drive."),
+    "simulate": ("simulate", "Write a simulated drive."),
+    "info": ("info", "Say what is inside a drive or a map."),
+    "disparity": ("disparity", "Match one rectified stereo pair."),
+    "detect": ("detect", "Find the poles in the frames of a drive."),
+    "train": ("train", "Train the pole classifier on drives with a known pole map."),
+    "map": ("map", "Build, update or compare pole maps."),
+    "localize": ("localize", "Replay a drive against a map."),
+    "report": ("report.command", "Report repeatability and accuracy of runs."),
+    "estimate": ("estimate", "Run a side-slip or velocity estimator on a signal log."),
+    "study": ("study", "Rerun a source paper's simulation beside its claims."),
 }
 GOOD, CRASH, USER_ERROR, INTERRUPTED = 0, 1, 2, 130
 USER_ERRORS = (PolemapError, StereoError, VehicleError)
@@ -72,7 +72,9 @@ def build_app(verb: str | None) -> typer.Typer:
             typer.echo(context.get_help())
 
     for name, (module, summary) in VERBS.items():
-        function = import_module(module).command if name == verb else _listed_only
+        function = (
+            import_module(f"polemap.tools.{module}").command if name == verb else _listed_only
+        )
         text = _help_of(function, summary) if name == verb else summary
         app.command(name, help=text, short_help=summary)(function)
     return app

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from tools import localize, simulate
-from tools import map as pole_maps
-from tools.report import command as report
-from tools.settings import ConfigOption, SeedOption, SetOption
+from polemap.tools import localize, simulate
+from polemap.tools import map as pole_maps
+from polemap.tools.report import command as report
+from polemap.tools.settings import ConfigOption, SeedOption, SetOption
 
 WORLD = "park_loop"
 MAP_LAP = "lap_1"

@@ -12,17 +12,17 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivelog.atomic import atomic_folder
-from drivelog.drive import Drive, open_drive
-from drivelog.errors import ConfigError, InputError
-from polemap.evaluation import FrameRecord, Score, record, score_frames, score_tracks
-from polemap.io import read_map
-from polemap.landmark_map import PoleMap
+from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.errors import ConfigError, InputError
+from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
+from polemap.map.io import read_map
+from polemap.map.landmark_map import PoleMap
 from polemap.perception import Look, PolePerception, looks
-from tools.detect_pictures import write_overlay
-from tools.progress import progress
-from tools.settings import ConfigOption, SetOption, Settings, load_settings
-from vehicle.pose import Pose2D
+from polemap.tools.detect_pictures import write_overlay
+from polemap.tools.progress import progress
+from polemap.tools.settings import ConfigOption, SetOption, Settings, load_settings
+from polemap.vehicle.pose import Pose2D
 
 _COLUMNS = (
     *("frame", "stamp_s", "left_px", "right_px", "top_px", "bottom_px", "disparity_px"),

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import Image
+from polemap.drivelog.samples import Image
 from polemap.perception import Look
-from stereo.rig import StereoRig
+from polemap.stereo.rig import StereoRig
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]

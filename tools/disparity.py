@@ -10,13 +10,13 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_file
-from drivelog.errors import ConfigError, InputError
-from drivelog.images import read_grey
-from drivelog.samples import Image
-from stereo.config import StereoConfig
-from stereo.matching import make_matcher
-from tools.settings import ConfigOption, SetOption, load_settings
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import ConfigError, InputError
+from polemap.drivelog.images import read_grey
+from polemap.drivelog.samples import Image
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import make_matcher
+from polemap.tools.settings import ConfigOption, SetOption, load_settings
 
 _SCALE = 256.0
 _LARGEST = 256

@@ -13,19 +13,19 @@ import typer
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from drivelog.atomic import atomic_file
-from drivelog.errors import ConfigError, InputError
-from tools.comma2k19 import is_comma2k19, read_comma2k19
-from tools.progress import progress
-from tools.settings import first_problem, parse_item, read_tree
-from tools.signal_log import gps_from_truth, read_signal_log
-from vehicle.config import EstimatorConfig
-from vehicle.estimators.base import GPS
-from vehicle.estimators.registry import ESTIMATORS, make_estimator
-from vehicle.identify import identify
-from vehicle.io import car_names, dump_car, load_car
-from vehicle.parameters import Car
-from vehicle.signals import Played, SignalLog, play
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import ConfigError, InputError
+from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
+from polemap.electric.config import EstimatorConfig
+from polemap.electric.estimators.base import GPS
+from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
+from polemap.electric.identify import identify
+from polemap.electric.io import gps_from_truth, read_signal_log
+from polemap.electric.signals import Played, SignalLog, play
+from polemap.tools.progress import progress
+from polemap.tools.settings import first_problem, parse_item, read_tree
+from polemap.vehicle.io import car_names, dump_car, load_car
+from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
 SETTLED_S = 2.0

@@ -9,12 +9,12 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from drivelog.drive import Drive, open_drive
-from drivelog.frames import convergence_rad, geographic_from_grid, point_scale
-from polemap.history import COLUMN
-from polemap.io import MAP_ENDINGS, read_map
-from polemap.landmark_map import PoleMap
-from tools.settings import SeedOption
+from polemap.build.history import COLUMN
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
+from polemap.map.io import MAP_ENDINGS, read_map
+from polemap.map.landmark_map import PoleMap
+from polemap.tools.settings import SeedOption
 
 Floats = NDArray[np.float64]
 

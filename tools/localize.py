@@ -8,14 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
-from drivelog.atomic import atomic_folder
-from drivelog.errors import ConfigError
-from localize.replay import check_inputs
-from polemap.io import read_map
-from tools.looking import Looked, Source, look
-from tools.monte_carlo import Replay, run_many
-from tools.progress import progress
-from tools.settings import ConfigOption, SeedOption, SetOption, load_settings
+from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.errors import ConfigError
+from polemap.localize.replay import check_inputs
+from polemap.map.io import read_map
+from polemap.tools.looking import Looked, Source, look
+from polemap.tools.monte_carlo import Replay, run_many
+from polemap.tools.progress import progress
+from polemap.tools.settings import ConfigOption, SeedOption, SetOption, load_settings
 
 
 def command(

@@ -20,13 +20,13 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from drivelog.drive import Drive, open_drive
-from drivelog.errors import InputError
-from drivelog.samples import PoleScan
 from polemap import __version__
 from polemap.config import PolemapConfig
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
-from tools.scan_cache import (
+from polemap.tools.scan_cache import (
     STAGES,
     drive_fingerprint,
     fingerprint,
@@ -34,11 +34,11 @@ from tools.scan_cache import (
     read_scans,
     write_scans,
 )
-from tools.settings import Settings
+from polemap.tools.settings import Settings
 
 FRAMES_A_TASK = 20
 # What a detection depends on; the rest of the settings may change without looking again.
-_SEEN_BY = ("stereo", "polemap.detection")
+_SEEN_BY = ("stereo", "polemap.detect.detection")
 
 Advance = Callable[[int], None]
 

@@ -9,18 +9,23 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from drivelog.drive import Drive, open_drive
-from drivelog.errors import InputError
-from polemap.build import BuiltMap, assemble_map, build_map, unique_names
-from polemap.city.io import clear
-from polemap.city.work import DriveTask, observe_all, on_workers, open_client
-from polemap.io import check_writable, export_map, read_map, write_map
-from polemap.landmark_map import PoleMap
-from polemap.upkeep import CHANGE, DISTANCE, compare_maps, diff_map
-from tools.map_picture import check_picture, draw_map, route_localizability, write_localizability
-from tools.map_worker import observe_task, open_part, scan
-from tools.progress import progress
-from tools.settings import ConfigOption, SeedOption, SetOption, Settings, load_settings
+from polemap.build.build_map import BuiltMap, assemble_map, build_map, unique_names
+from polemap.build.city.io import clear
+from polemap.build.city.work import DriveTask, observe_all, on_workers, open_client
+from polemap.build.map_diff import CHANGE, DISTANCE, compare_maps, diff_map
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.errors import InputError
+from polemap.map.io import check_writable, export_map, read_map, write_map
+from polemap.map.landmark_map import PoleMap
+from polemap.tools.map_picture import (
+    check_picture,
+    draw_map,
+    route_localizability,
+    write_localizability,
+)
+from polemap.tools.map_worker import observe_task, open_part, scan
+from polemap.tools.progress import progress
+from polemap.tools.settings import ConfigOption, SeedOption, SetOption, Settings, load_settings
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_file
-from drivelog.drive import Drive
-from drivelog.errors import InputError
-from drivelog.frames import EarthFrame, geographic_from_grid
-from polemap.landmark_map import PoleMap
-from polemap.localizability import Localizability, drive_sensor, localizability
-from tools.settings import Settings
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.evaluation.localizability import Localizability, drive_sensor, localizability
+from polemap.map.landmark_map import PoleMap
+from polemap.tools.settings import Settings
 
 Floats = NDArray[np.float64]
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivelog.drive import Drive, open_drive
-from drivelog.errors import InputError
-from drivelog.samples import PoleScan
-from polemap.build import observe
-from polemap.city.work import DriveTask
-from polemap.observe import DriveObservations
+from polemap.build.build_map import observe
+from polemap.build.city.work import DriveTask
+from polemap.build.observe import DriveObservations
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
-from tools.progress import Advance
-from tools.settings import Settings
+from polemap.tools.progress import Advance
+from polemap.tools.settings import Settings
 
 
 def open_part(path: Path, lap: str | None, seed: int) -> Drive:

@@ -14,18 +14,18 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from drivelog.atomic import atomic_folder
-from drivelog.drive import Drive
-from localize.io import write_metrics, write_run
-from localize.metrics import spread, timing_summary
-from localize.replay import replay
 from polemap import __version__
-from polemap.landmark_map import PoleMap
-from tools.looking import Looked, Source
-from tools.machine import describe_machine
-from tools.progress import progress
-from tools.scan_cache import drive_fingerprint, fingerprint
-from tools.settings import Settings
+from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.drive import Drive
+from polemap.evaluation.metrics import spread, timing_summary
+from polemap.localize.io import write_metrics, write_run
+from polemap.localize.replay import replay
+from polemap.map.landmark_map import PoleMap
+from polemap.tools.looking import Looked, Source
+from polemap.tools.machine import describe_machine
+from polemap.tools.progress import progress
+from polemap.tools.scan_cache import drive_fingerprint, fingerprint
+from polemap.tools.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,15 +18,15 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_file
-from drivelog.drive import Drive
-from drivelog.errors import InputError
-from drivelog.samples import PoleScan, VisibleRegion
 from polemap.config import PolemapConfig
-from polemap.detection import detect
-from polemap.models.io import read_classifier
-from stereo.config import StereoConfig
-from stereo.matching import make_matcher
+from polemap.detect.detection import detect
+from polemap.detect.models.io import read_classifier
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import make_matcher
 
 Floats = NDArray[np.float64]
 

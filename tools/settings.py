@@ -9,11 +9,11 @@ import typer
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from drivelog.errors import ConfigError
-from localize.config import LocalizeConfig
 from polemap.config import PolemapConfig
-from simulate.config import SimulateConfig
-from stereo.config import StereoConfig
+from polemap.drivelog.errors import ConfigError
+from polemap.localize.config import LocalizeConfig
+from polemap.simulate.config import SimulateConfig
+from polemap.stereo.config import StereoConfig
 
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="YAML file that overrides defaults.")

@@ -8,15 +8,15 @@ from typing import Annotated
 
 import typer
 
-from drivelog.drive import open_drive
-from drivelog.errors import ConfigError
-from polemap.io import read_map
-from simulate.drive import count_frames, simulate_drive
-from simulate.kitti_layout import write_kitti_odometry
-from simulate.kitti_raw_layout import write_kitti_raw
-from simulate.scenario import scenario_names
-from tools.progress import progress
-from tools.settings import ConfigOption, SeedOption, SetOption, load_settings
+from polemap.drivelog.drive import open_drive
+from polemap.drivelog.errors import ConfigError
+from polemap.map.io import read_map
+from polemap.simulate.drive import count_frames, simulate_drive
+from polemap.simulate.kitti_layout import write_kitti_odometry
+from polemap.simulate.kitti_raw_layout import write_kitti_raw
+from polemap.simulate.scenario import scenario_names
+from polemap.tools.progress import progress
+from polemap.tools.settings import ConfigOption, SeedOption, SetOption, load_settings
 
 
 def command(

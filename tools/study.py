@@ -13,13 +13,13 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 
-from drivelog.atomic import atomic_file, atomic_folder
-from drivelog.errors import ConfigError
-from simulate.closed_loop.registry import LOOP_STUDIES
-from tools.progress import progress
-from vehicle.io import load_car
-from vehicle.studies.papers import STUDIES
-from vehicle.studies.study import Study
+from polemap.drivelog.atomic import atomic_file, atomic_folder
+from polemap.drivelog.errors import ConfigError
+from polemap.electric.studies.papers import STUDIES
+from polemap.electric.studies.study import Study
+from polemap.simulate.closed_loop.registry import LOOP_STUDIES
+from polemap.tools.progress import progress
+from polemap.vehicle.io import load_car
 
 _TABLE = "{:<62} {:>24} {:>20}  {}"
 _STYLES = ("k-", "C0-", "C1-", "C2-", "C3-", "C4-", "C5-", "C6-", "C7--", "C8--", "C9--")

@@ -10,12 +10,15 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from drivelog.drive import open_drive
-from drivelog.errors import ConfigError
 from polemap import __version__
-from polemap.classifier import PoleClassifier
-from polemap.io import read_map
-from polemap.models.io import write_classifier
+from polemap.detect.classifier import PoleClassifier
+from polemap.detect.models.io import write_classifier
+from polemap.drivelog.drive import open_drive
+from polemap.drivelog.errors import ConfigError
+from polemap.map.io import read_map
+from polemap.stereo.matching import make_matcher
+from polemap.tools.progress import progress
+from polemap.tools.settings import ConfigOption, SetOption, Settings, load_settings
 from polemap.training import (
     Judgement,
     Samples,
@@ -26,9 +29,6 @@ from polemap.training import (
     judge,
     train,
 )
-from stereo.matching import make_matcher
-from tools.progress import progress
-from tools.settings import ConfigOption, SetOption, Settings, load_settings
 
 
 def command(

@@ -16,8 +16,8 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vehicle.errors import VehicleError
-from vehicle.kalman import innovate, joseph_update, predict
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.kalman import innovate, joseph_update, predict
 
 State = TypeVar("State")
 Event = TypeVar("Event")

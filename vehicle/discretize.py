@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from vehicle.errors import VehicleError
+from polemap.vehicle.errors import VehicleError
 
 Floats = NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import yaml
 
-from vehicle.errors import VehicleError
-from vehicle.parameters import Car
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.parameters import Car
 
 
 def car_names() -> list[str]:
     """Names of the cars that come with the package."""
-    folder = files("vehicle") / "cars"
+    folder = files("polemap.vehicle") / "cars"
     return sorted(
         f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml")
     )
@@ -29,7 +29,8 @@ def load_car(name_or_file: str | Path) -> Car:
     """
     text = str(name_or_file)
     if text in car_names():
-        return parse_car((files("vehicle") / "cars" / f"{text}.yaml").read_text("utf-8"), text)
+        shipped = files("polemap.vehicle") / "cars" / f"{text}.yaml"
+        return parse_car(shipped.read_text("utf-8"), text)
     path = Path(text)
     if path.suffix not in (".yaml", ".yml"):
         raise VehicleError(f"no car {text}; known are {', '.join(car_names())}, or give a .yaml")

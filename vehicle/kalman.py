@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from vehicle.errors import VehicleError
-from vehicle.pose import wrap_angle
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 

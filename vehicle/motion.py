@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vehicle.pose import shift_forward, wrap_angle
+from polemap.vehicle.pose import shift_forward, wrap_angle
 
 Floats = NDArray[np.float64]
 

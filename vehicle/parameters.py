@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from math import isfinite, sqrt
 
-from vehicle.errors import VehicleError
+from polemap.vehicle.errors import VehicleError
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from vehicle.discretize import van_loan, zero_order_hold
-from vehicle.errors import VehicleError
-from vehicle.parameters import Car
+from polemap.vehicle.discretize import van_loan, zero_order_hold
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
 Model = Callable[[Car, float], tuple[Floats, Floats]]

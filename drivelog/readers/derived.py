@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from drivelog.streams import GnssStream, OdometryStream
+from polemap.drivelog.streams import GnssStream, OdometryStream
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from drivelog.errors import InputError
+from polemap.drivelog.errors import InputError
 
 _Finite = Field(allow_inf_nan=False)
 

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.drive import Drive, Lap
-from drivelog.errors import InputError
-from drivelog.frames import EarthFrame, grid_from_geographic
-from drivelog.images import ImagePairs
-from drivelog.readers.drive_yaml import CameraPart, read_drive_yaml
-from drivelog.readers.poles import read_scans
-from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from drivelog.tables import Table, read_table, sorted_by_stamp
-from stereo.rig import Mounting, StereoRig
-from vehicle.pose import wrap_angle
+from polemap.drivelog.drive import Drive, Lap
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame, grid_from_geographic
+from polemap.drivelog.images import ImagePairs
+from polemap.drivelog.readers.drive_yaml import CameraPart, read_drive_yaml
+from polemap.drivelog.readers.poles import read_scans
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.drivelog.tables import Table, read_table, sorted_by_stamp
+from polemap.stereo.rig import Mounting, StereoRig
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.errors import InputError
-from stereo.rig import Mounting, StereoRig
+from polemap.drivelog.errors import InputError
+from polemap.stereo.rig import Mounting, StereoRig
 
 Floats = NDArray[np.float64]
 

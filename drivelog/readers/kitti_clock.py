@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivelog.errors import InputError
-from drivelog.readers.kitti import read_text
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.kitti import read_text
 
 
 def read_timestamps(path: Path, problems: Counter[str]) -> dict[int, float]:

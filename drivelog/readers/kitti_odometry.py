@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.drive import Drive
-from drivelog.errors import InputError
-from drivelog.frames import EarthFrame
-from drivelog.images import ImagePairs, read_grey
-from drivelog.readers import derived
-from drivelog.readers.kitti import (
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.images import ImagePairs, read_grey
+from polemap.drivelog.readers import derived
+from polemap.drivelog.readers.kitti import (
     CAMERA_ABOVE_M,
     CAMERA_AHEAD_M,
     VEHICLE_FROM_CAMERA_AXES,
@@ -30,8 +30,8 @@ from drivelog.readers.kitti import (
     rig_of,
     rigid,
 )
-from drivelog.streams import ReferenceStream
-from stereo.rig import StereoRig
+from polemap.drivelog.streams import ReferenceStream
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.drive import Drive
-from drivelog.frames import EarthFrame, grid_from_geographic, grid_yaw, utm_frame
-from drivelog.images import ImagePairs, read_grey
-from drivelog.readers.kitti import (
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.frames import EarthFrame, grid_from_geographic, grid_yaw, utm_frame
+from polemap.drivelog.images import ImagePairs, read_grey
+from polemap.drivelog.readers.kitti import (
     CAMERA_ABOVE_M,
     CAMERA_AHEAD_M,
     OXTS_BEHIND_M,
@@ -29,9 +29,9 @@ from drivelog.readers.kitti import (
     rig_of,
     rigid,
 )
-from drivelog.readers.kitti_clock import gap_note, read_timestamps
-from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from stereo.rig import StereoRig
+from polemap.drivelog.readers.kitti_clock import gap_note, read_timestamps
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.readers.drive_yaml import DetectorPart
-from drivelog.samples import PoleScan, VisibleRegion
-from drivelog.tables import Table, read_table, sorted_by_stamp
+from polemap.drivelog.readers.drive_yaml import DetectorPart
+from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.tables import Table, read_table, sorted_by_stamp
 
 Floats = NDArray[np.float64]
 

@@ -12,13 +12,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from drivelog.atomic import atomic_folder
-from drivelog.drive import Drive, Lap
-from drivelog.errors import InputError
-from drivelog.frames import EarthFrame, geographic_from_grid
-from drivelog.samples import Image, PoleScan, VisibleRegion
-from drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from stereo.rig import StereoRig
+from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.drive import Drive, Lap
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.drivelog.samples import Image, PoleScan, VisibleRegion
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from drivelog.errors import ConfigError
-from simulate.plant import PlantParameters
-from vehicle.parameters import Car
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.plant import PlantParameters
+from polemap.vehicle.parameters import Car
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from drivelog.errors import ConfigError
-from vehicle.config import EstimatorConfig
-from vehicle.estimators.base import CAMERA, GPS, Estimator
-from vehicle.estimators.registry import ESTIMATORS, make_estimator
-from vehicle.parameters import Car
-from vehicle.studies.settings import GPS_NOISE, MISMATCH
+from polemap.drivelog.errors import ConfigError
+from polemap.electric.config import EstimatorConfig
+from polemap.electric.estimators.base import CAMERA, GPS, Estimator
+from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
+from polemap.electric.studies.settings import GPS_NOISE, MISMATCH
+from polemap.vehicle.parameters import Car
 
 LATE = (CAMERA, GPS)
 TRUTH, NONE = "true state", "no control"

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.closed_loop.lateral import Command
-from simulate.closed_loop.sensing import Measured
-from simulate.plant import REAR_LEFT, REAR_RIGHT
-from vehicle.control.body_slip import distribute_torque
-from vehicle.control.disturbance import DisturbanceObserver
-from vehicle.control.lateral_stability import (
+from polemap.electric.control.body_slip import distribute_torque
+from polemap.electric.control.disturbance import DisturbanceObserver
+from polemap.electric.control.lateral_stability import (
     GripGuard,
     LateralLimits,
     LateralStabilityController,
     neutral_reference,
 )
-from vehicle.estimators.base import Estimate
-from vehicle.parameters import Car
-from vehicle.single_track import lateral
+from polemap.electric.estimators.base import Estimate
+from polemap.simulate.closed_loop.lateral import Command
+from polemap.simulate.closed_loop.sensing import Measured
+from polemap.simulate.plant import REAR_LEFT, REAR_RIGHT
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import lateral
 
 Floats = NDArray[np.float64]
 DISTURBANCES = ("sideslip_disturbance_radps", "yaw_disturbance_radps2")

@@ -6,21 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulate.closed_loop.cars import plant_of, with_stiffness
-from simulate.closed_loop.choice import NONE, REJECTING_NOISE, TRUTH, behind, choose
-from simulate.closed_loop.cornering import (
+from polemap.electric.control.lateral_stability import LateralLimits
+from polemap.electric.estimators.base import GPS, Estimate
+from polemap.electric.studies.settings import GPS_STIFFNESS_NPRAD, KMH
+from polemap.electric.studies.study import Curve, Line, Panel, Report, Study, curves_of
+from polemap.simulate.closed_loop.cars import plant_of, with_stiffness
+from polemap.simulate.closed_loop.choice import NONE, REJECTING_NOISE, TRUTH, behind, choose
+from polemap.simulate.closed_loop.cornering import (
     Corner,
     CornerSettings,
     StabilityLoop,
     yaw_moment_limit_nm,
 )
-from simulate.closed_loop.lateral import Command, LateralRun, run_lateral
-from simulate.closed_loop.sensing import Measured, SensorModel
-from vehicle.control.lateral_stability import LateralLimits
-from vehicle.estimators.base import GPS, Estimate
-from vehicle.parameters import Car
-from vehicle.studies.settings import GPS_STIFFNESS_NPRAD, KMH
-from vehicle.studies.study import Curve, Line, Panel, Report, Study, curves_of
+from polemap.simulate.closed_loop.lateral import Command, LateralRun, run_lateral
+from polemap.simulate.closed_loop.sensing import Measured, SensorModel
+from polemap.vehicle.parameters import Car
 
 NAME = "N13-cornering"
 SPEED_MPS, DURATION_S = 20 * KMH, 8.5

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi, sin
 
-from simulate.closed_loop.lateral import Command
-from simulate.closed_loop.sensing import Measured
-from vehicle.control.body_slip import BodySlipController, PiGains, feed_forward_gain
-from vehicle.estimators.base import Estimate
-from vehicle.parameters import Car
-from vehicle.single_track import lateral
+from polemap.electric.control.body_slip import BodySlipController, PiGains, feed_forward_gain
+from polemap.electric.estimators.base import Estimate
+from polemap.simulate.closed_loop.lateral import Command
+from polemap.simulate.closed_loop.sensing import Measured
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import lateral
 
 
 @dataclass(frozen=True, slots=True)

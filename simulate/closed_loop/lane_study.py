@@ -6,19 +6,19 @@ from math import pi
 
 import numpy as np
 
-from simulate.closed_loop.cars import plant_of
-from simulate.closed_loop.choice import CAMERA_NOISE, NONE, TRUTH, behind, choose
-from simulate.closed_loop.cornering import yaw_moment_limit_nm
-from simulate.closed_loop.lane_change import BodySlipLoop, LaneChange
-from simulate.closed_loop.lateral import LateralRun, run_lateral
-from simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
-from simulate.closed_loop.sensing import SensorModel
-from vehicle.control.body_slip import PiGains, feed_forward_gain, place_pi
-from vehicle.estimators.base import CAMERA, GPS
-from vehicle.parameters import Car
-from vehicle.single_track import lateral
-from vehicle.studies.settings import KMH
-from vehicle.studies.study import Line, Panel, Report, Study, curves_of
+from polemap.electric.control.body_slip import PiGains, feed_forward_gain, place_pi
+from polemap.electric.estimators.base import CAMERA, GPS
+from polemap.electric.studies.settings import KMH
+from polemap.electric.studies.study import Line, Panel, Report, Study, curves_of
+from polemap.simulate.closed_loop.cars import plant_of
+from polemap.simulate.closed_loop.choice import CAMERA_NOISE, NONE, TRUTH, behind, choose
+from polemap.simulate.closed_loop.cornering import yaw_moment_limit_nm
+from polemap.simulate.closed_loop.lane_change import BodySlipLoop, LaneChange
+from polemap.simulate.closed_loop.lateral import LateralRun, run_lateral
+from polemap.simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
+from polemap.simulate.closed_loop.sensing import SensorModel
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import lateral
 
 NAME = "W14-lane-change"
 SPEED_MPS, DURATION_S = 25 * KMH, 6.0

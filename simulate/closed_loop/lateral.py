@@ -8,10 +8,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.closed_loop.sensing import Measured, SensorFeed, SensorModel
-from simulate.plant import Friction, Plant, PlantInput, PlantParameters, PlantState
-from vehicle.control.body_slip import distribute_torque
-from vehicle.estimators.base import Estimate, Estimator
+from polemap.electric.control.body_slip import distribute_torque
+from polemap.electric.estimators.base import Estimate, Estimator
+from polemap.simulate.closed_loop.sensing import Measured, SensorFeed, SensorModel
+from polemap.simulate.plant import Friction, Plant, PlantInput, PlantParameters, PlantState
 
 Floats = NDArray[np.float64]
 _SPEED_GAIN_PER_S = 2.0

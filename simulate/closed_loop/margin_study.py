@@ -7,8 +7,12 @@ from math import inf, log10, pi
 import numpy as np
 from scipy.optimize import brentq
 
-from simulate.closed_loop.choice import choose
-from simulate.closed_loop.margins import (
+from polemap.electric.control.body_slip import place_pi
+from polemap.electric.estimators.base import CAMERA
+from polemap.electric.studies.settings import KMH
+from polemap.electric.studies.study import Curve, Line, Panel, Report, Study
+from polemap.simulate.closed_loop.choice import choose
+from polemap.simulate.closed_loop.margins import (
     FAST_S,
     SLOW_S,
     Margins,
@@ -16,12 +20,8 @@ from simulate.closed_loop.margins import (
     margin_with_estimator_db,
     scaled,
 )
-from vehicle.control.body_slip import place_pi
-from vehicle.estimators.base import CAMERA
-from vehicle.parameters import Car
-from vehicle.single_track import lateral
-from vehicle.studies.settings import KMH
-from vehicle.studies.study import Curve, Line, Panel, Report, Study
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import lateral
 
 NAME = "W14-margins"
 SPEED_MPS, POLE_HZ, LAG_S = 25 * KMH, 1.0, 0.005

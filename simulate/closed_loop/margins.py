@@ -9,13 +9,13 @@ from math import inf, log10, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.closed_loop.choice import CAMERA_NOISE, fresh
-from vehicle.control.body_slip import PiGains
-from vehicle.discretize import zero_order_hold
-from vehicle.errors import VehicleError
-from vehicle.estimators.base import CAMERA, YAW_RATE, Inputs
-from vehicle.parameters import Car
-from vehicle.single_track import combined_vision, lateral
+from polemap.electric.control.body_slip import PiGains
+from polemap.electric.estimators.base import CAMERA, YAW_RATE, Inputs
+from polemap.simulate.closed_loop.choice import CAMERA_NOISE, fresh
+from polemap.vehicle.discretize import zero_order_hold
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import combined_vision, lateral
 
 Floats = NDArray[np.float64]
 SLOW_S, FAST_S = 0.033, 0.001

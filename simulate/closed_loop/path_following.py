@@ -11,18 +11,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.samples import GnssFix, OdometrySample
-from localize.config import LocalizeConfig
-from localize.estimate import PfEstimate
-from localize.localizer import Localizer
-from simulate.closed_loop.cars import PASSENGER_CAR, plant_of
-from simulate.closed_loop.road import Road, winding_road
-from simulate.detector import PoleDetector
-from simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState
-from simulate.point_world import PointScenario
-from vehicle.control.path import PathError, StanleySettings, stanley_steer
-from vehicle.parameters import Car
-from vehicle.pose import Pose2D
+from polemap.drivelog.samples import GnssFix, OdometrySample
+from polemap.electric.control.path import PathError, StanleySettings, stanley_steer
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.localizer import Localizer
+from polemap.localize.particle_filter.estimate import PfEstimate
+from polemap.simulate.closed_loop.cars import PASSENGER_CAR, plant_of
+from polemap.simulate.closed_loop.road import Road, winding_road
+from polemap.simulate.detector import PoleDetector
+from polemap.simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState
+from polemap.simulate.point_world import PointScenario
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.pose import Pose2D
 
 Floats = NDArray[np.float64]
 Source = Literal["truth", "filter", "raw"]

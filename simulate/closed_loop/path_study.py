@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivelog.errors import ConfigError
-from simulate.closed_loop.path_following import (
+from polemap.drivelog.errors import ConfigError
+from polemap.electric.studies.settings import KMH
+from polemap.electric.studies.study import Line, Panel, Report, Study, curves_of
+from polemap.simulate.closed_loop.path_following import (
     SWING_M,
     SWING_S,
     SWINGS,
@@ -14,9 +16,7 @@ from simulate.closed_loop.path_following import (
     Source,
     follow_path,
 )
-from vehicle.parameters import Car
-from vehicle.studies.settings import KMH
-from vehicle.studies.study import Line, Panel, Report, Study, curves_of
+from polemap.vehicle.parameters import Car
 
 NAME = "path-following"
 SPEEDS_KMH = (30, 50)

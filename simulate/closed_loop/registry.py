@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from simulate.closed_loop.cornering_study import cornering_study
-from simulate.closed_loop.lane_study import lane_study
-from simulate.closed_loop.margin_study import margin_study
-from simulate.closed_loop.path_study import path_study
-from simulate.closed_loop.slip_study import slip_study
-from vehicle.parameters import Car
-from vehicle.studies.study import Report, Study
+from polemap.electric.studies.study import Report, Study
+from polemap.simulate.closed_loop.cornering_study import cornering_study
+from polemap.simulate.closed_loop.lane_study import lane_study
+from polemap.simulate.closed_loop.margin_study import margin_study
+from polemap.simulate.closed_loop.path_study import path_study
+from polemap.simulate.closed_loop.slip_study import slip_study
+from polemap.vehicle.parameters import Car
 
 
 class LoopStudy(Protocol):

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.landmark_map import PoleMap
-from simulate.point_world import PointScenario, plant_poles
-from vehicle.control.path import Path
+from polemap.electric.control.path import Path
+from polemap.map.landmark_map import PoleMap
+from polemap.simulate.point_world import PointScenario, plant_poles
 
 Floats = NDArray[np.float64]
 _STEP_M = 0.5

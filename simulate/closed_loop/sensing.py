@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.plant import GRAVITY_MPS2, REAR_LEFT, REAR_RIGHT, PlantParameters, PlantState
-from vehicle.estimators.base import (
+from polemap.electric.estimators.base import (
     CAMERA,
     GPS,
     LATERAL_ACCELERATION,
@@ -20,6 +19,7 @@ from vehicle.estimators.base import (
     Estimator,
     Inputs,
 )
+from polemap.simulate.plant import GRAVITY_MPS2, REAR_LEFT, REAR_RIGHT, PlantParameters, PlantState
 
 Floats = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.closed_loop.sensing import Measured, SensorFeed, SensorModel
-from simulate.plant import REAR_LEFT, Plant, PlantInput, PlantParameters, patches
-from vehicle.control.slip_ratio import SlipRatioController, SlipRatioSettings
-from vehicle.estimators.base import Estimator
+from polemap.electric.control.slip_ratio import SlipRatioController, SlipRatioSettings
+from polemap.electric.estimators.base import Estimator
+from polemap.simulate.closed_loop.sensing import Measured, SensorFeed, SensorModel
+from polemap.simulate.plant import REAR_LEFT, Plant, PlantInput, PlantParameters, patches
 
 Floats = NDArray[np.float64]
 Velocity = Callable[[float, Measured, Estimator | None], float]

@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from simulate.closed_loop.cars import plant_of
-from simulate.closed_loop.choice import COURSE_NOISE, choose, fresh
-from simulate.closed_loop.sensing import SensorModel
-from simulate.closed_loop.slip import (
+from polemap.electric.control.slip_ratio import SlipRatioSettings
+from polemap.electric.estimators.base import GPS
+from polemap.electric.studies.study import Curve, Line, Panel, Report, Study
+from polemap.simulate.closed_loop.cars import plant_of
+from polemap.simulate.closed_loop.choice import COURSE_NOISE, choose, fresh
+from polemap.simulate.closed_loop.sensing import SensorModel
+from polemap.simulate.closed_loop.slip import (
     SheetScene,
     SlipRun,
     Velocity,
@@ -21,11 +24,8 @@ from simulate.closed_loop.slip import (
     run_sheet,
     with_lag,
 )
-from simulate.plant import GRAVITY_MPS2, PlantParameters
-from vehicle.control.slip_ratio import SlipRatioSettings
-from vehicle.estimators.base import GPS
-from vehicle.parameters import Car
-from vehicle.studies.study import Curve, Line, Panel, Report, Study
+from polemap.simulate.plant import GRAVITY_MPS2, PlantParameters
+from polemap.vehicle.parameters import Car
 
 NAME = "N13-slip"
 TARGET = SlipRatioSettings().target

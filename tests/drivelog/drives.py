@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.drive import Drive, GnssStream, Lap, OdometryStream, ReferenceStream
-from drivelog.frames import EarthFrame
-from drivelog.samples import PoleScan, VisibleRegion
-from drivelog.writers.folder import folder_writer
-from stereo.rig import Mounting, StereoRig
+from polemap.drivelog.drive import Drive, GnssStream, Lap, OdometryStream, ReferenceStream
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.writers.folder import folder_writer
+from polemap.stereo.rig import Mounting, StereoRig
 
 RIG = StereoRig(64, 48, 80.0, 31.5, 23.5, 0.3, Mounting(1.9, 0.1, 1.3, 0.01, 0.02, -0.03))
 VIEW = VisibleRegion(np.array([1.0, 0.0]), -0.8, 0.8, 2.0, np.array([30.0]))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivelog.atomic import atomic_file, atomic_folder
-from drivelog.errors import InputError
+from polemap.drivelog.atomic import atomic_file, atomic_folder
+from polemap.drivelog.errors import InputError
 
 
 def _fail_after_writing(path: Path) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivelog.drive import open_drive
-from drivelog.errors import InputError
-from drivelog.frames import EarthFrame
-from drivelog.samples import OdometrySample, PoleScan, StereoFrame
-from drivelog.writers.folder import folder_writer, write_drive
+from polemap.drivelog.drive import open_drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
+from polemap.drivelog.writers.folder import folder_writer, write_drive
 from tests.drivelog.drives import RIG, VIEW, picture, streams, write_small
 
 

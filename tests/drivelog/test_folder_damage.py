@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivelog.drive import open_drive
-from drivelog.errors import InputError, PolemapError
+from polemap.drivelog.drive import open_drive
+from polemap.drivelog.errors import InputError, PolemapError
 from tests.drivelog.drives import edit
 
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod
 
-from drivelog.errors import FrameError, InputError
-from drivelog.frames import (
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.frames import (
     EarthFrame,
     convergence_rad,
     geographic_from_grid,

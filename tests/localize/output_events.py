@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from localize.ctrv_kernel import unpack
-from localize.output_filter import OutputFilter
+from polemap.localize.output_filter.ctrv_kernel import unpack
+from polemap.localize.output_filter.filter import OutputFilter
 
 
 def events_of(drive):

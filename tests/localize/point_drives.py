@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
-from localize.config import LocalizeConfig
-from localize.estimate import PfEstimate
-from localize.particle_filter import ParticleFilter
-from simulate.point_world import PointDrive, PointScenario
-from vehicle.pose import wrap_angle
+from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.particle_filter.estimate import PfEstimate
+from polemap.localize.particle_filter.filter import ParticleFilter
+from polemap.simulate.point_world import PointDrive, PointScenario
+from polemap.vehicle.pose import wrap_angle
 
 SHORT = PointScenario(duration_s=25.0)
 

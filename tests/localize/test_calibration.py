@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivelog.samples import OdometrySample
-from localize.calibration import OdometryCalibration
-from localize.config import LocalizeConfig
-from vehicle.motion import move_along_arc
+from polemap.drivelog.samples import OdometrySample
+from polemap.localize.calibration import OdometryCalibration
+from polemap.localize.config import LocalizeConfig
+from polemap.vehicle.motion import move_along_arc
 
 
 def stand(

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from localize.clocks import StreamClock
-from localize.output_config import OutputConfig
+from polemap.localize.clocks import StreamClock
+from polemap.localize.output_filter.config import OutputConfig
 
 CONFIG = OutputConfig()
 

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivelog.errors import InputError
-from drivelog.samples import GnssFix, OdometrySample, ReferencePose, StereoFrame
-from localize.config import LocalizeConfig
-from localize.localizer import Localizer
-from localize.output_config import OutputConfig
-from simulate.point_drive import PointNoise
-from simulate.pole_street import pole_street
-from vehicle.kalman import chi_square_gate
-from vehicle.pose import Pose2D
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose, StereoFrame
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.localizer import Localizer
+from polemap.localize.output_filter.config import OutputConfig
+from polemap.simulate.point_drive import PointNoise
+from polemap.simulate.pole_street import pole_street
+from polemap.vehicle.kalman import chi_square_gate
+from polemap.vehicle.pose import Pose2D
 
 CONFIG = LocalizeConfig(particles=300)
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 import yaml
 
-from drivelog.errors import FrameError, InputError
-from drivelog.frames import EarthFrame
-from localize.config import LocalizeConfig
-from localize.io import HEALTH_COLUMNS, read_tum, write_run, write_tum
-from localize.replay import Trajectory, replay
-from simulate.point_drive import PointNoise
-from simulate.pole_street import FRAME, pole_street
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.io import HEALTH_COLUMNS, read_tum, write_run, write_tum
+from polemap.localize.replay import Trajectory, replay
+from polemap.simulate.point_drive import PointNoise
+from polemap.simulate.pole_street import FRAME, pole_street
 
 CONFIG = LocalizeConfig(particles=300)
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo.matching import DisparityPair
-from stereo.rig import Mounting, StereoRig
+from polemap.stereo.matching import DisparityPair
+from polemap.stereo.rig import Mounting, StereoRig
 
 RIG = StereoRig(640, 400, 700.0, 319.5, 190.0, 0.4, Mounting(x_m=1.5, y_m=0.1, z_m=1.4))
 WALL_M = 60.0

@@ -9,19 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivelog.drive import Drive, open_drive
-from drivelog.errors import FrameError, InputError
-from drivelog.frames import EarthFrame
-from drivelog.samples import OdometrySample, PoleScan, StereoFrame
-from polemap.config import DetectionConfig, PolemapConfig, TrackingConfig
-from polemap.evaluation import evidence, match, record, score_frames, score_tracks
-from polemap.ground import ground_from_mounting
-from polemap.io import read_map
-from polemap.landmark_map import PoleMap
+from polemap.config import PolemapConfig
+from polemap.detect.config import DetectionConfig
+from polemap.detect.ground import ground_from_mounting
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
+from polemap.evaluation.detections import evidence, match, record, score_frames, score_tracks
+from polemap.map.io import read_map
+from polemap.map.landmark_map import PoleMap
 from polemap.perception import PolePerception, looks, scan_drive
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import DisparityPair, make_matcher
+from polemap.track.config import TrackingConfig
 from polemap.training import TrainingConfig, collect
-from stereo.config import StereoConfig
-from stereo.matching import DisparityPair, make_matcher
 from tests.polemap.street import RIG, Thing, street
 
 STEREO = StereoConfig(disparities=96)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivelog.frames import EarthFrame
-from drivelog.samples import PoleScan, VisibleRegion
-from drivelog.streams import ReferenceStream
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.streams import ReferenceStream
 
 Floats = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from simulate.config import CameraConfig, RenderConfig, SimulateConfig
-from simulate.scenario import Scenario
-from simulate.world import World, make_world
+from polemap.simulate.config import CameraConfig, RenderConfig, SimulateConfig
+from polemap.simulate.scenario import Scenario
+from polemap.simulate.world import World, make_world
 
 
 @pytest.fixture(scope="session")

@@ -10,18 +10,18 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from drivelog.drive import open_drive
-from drivelog.errors import ConfigError
-from polemap.io import read_map
-from simulate import drive as module
-from simulate.config import RenderConfig, SimulateConfig
-from simulate.drive import count_frames, simulate_drive
-from simulate.frame_faults import DroppedFrames
-from simulate.map_faults import PolesAdded
-from simulate.scenario import Scenario
-from simulate.stream_faults import GnssOffset
-from tools.cli import build_app
-from vehicle.pose import Pose2D
+from polemap.drivelog.drive import open_drive
+from polemap.drivelog.errors import ConfigError
+from polemap.map.io import read_map
+from polemap.simulate import drive as module
+from polemap.simulate.config import RenderConfig, SimulateConfig
+from polemap.simulate.drive import count_frames, simulate_drive
+from polemap.simulate.frame_faults import DroppedFrames
+from polemap.simulate.map_faults import PolesAdded
+from polemap.simulate.scenario import Scenario
+from polemap.simulate.stream_faults import GnssOffset
+from polemap.tools.cli import build_app
+from polemap.vehicle.pose import Pose2D
 
 
 def content(folder: Path) -> dict[str, bytes]:

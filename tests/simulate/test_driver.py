@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivelog.errors import ConfigError
-from simulate.driver import STEP_S, drive_route
-from simulate.dynamics import CAR, follow
-from simulate.route import make_route
-from simulate.scenario import DriveSpec, Scenario, UTurnSpec
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.driver import STEP_S, drive_route
+from polemap.simulate.dynamics import CAR, follow
+from polemap.simulate.route import make_route
+from polemap.simulate.scenario import DriveSpec, Scenario, UTurnSpec
 
 
 def route_of(street: Scenario):  # type: ignore[no-untyped-def]

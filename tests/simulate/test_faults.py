@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from drivelog.drive import Drive, GnssStream, OdometryStream
-from drivelog.frames import EarthFrame
-from drivelog.samples import Image
-from simulate import map_faults, picture_faults
-from simulate.drive_fault import DriveFault
-from simulate.faults import Fault, age_map, apply_faults
-from simulate.frame_faults import (
+from polemap.drivelog.drive import Drive, GnssStream, OdometryStream
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.samples import Image
+from polemap.simulate import map_faults, picture_faults
+from polemap.simulate.drive_fault import DriveFault
+from polemap.simulate.faults import Fault, age_map, apply_faults
+from polemap.simulate.frame_faults import (
     BlurredFrames,
     DirtyLens,
     DroppedFrames,
@@ -25,14 +25,14 @@ from simulate.frame_faults import (
     OverExposed,
     SwappedCameras,
 )
-from simulate.stream_faults import (
+from polemap.simulate.stream_faults import (
     ClockJump,
     GnssDropout,
     GnssOffset,
     NotANumber,
     OdometryDropout,
 )
-from stereo.rig import StereoRig
+from polemap.stereo.rig import StereoRig
 from tests.pole_maps import plain_map
 
 RIG = StereoRig(80, 60, 90.0, 39.5, 29.5, 0.3)

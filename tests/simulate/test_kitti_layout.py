@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivelog.drive import open_drive
-from drivelog.errors import ConfigError
-from polemap.io import read_map
-from simulate.config import SimulateConfig, kitti_camera
-from simulate.drive import simulate_drive
-from simulate.kitti_layout import write_kitti_odometry
-from simulate.kitti_raw_layout import write_kitti_raw
-from simulate.scenario import Scenario
+from polemap.drivelog.drive import open_drive
+from polemap.drivelog.errors import ConfigError
+from polemap.map.io import read_map
+from polemap.simulate.config import SimulateConfig, kitti_camera
+from polemap.simulate.drive import simulate_drive
+from polemap.simulate.kitti_layout import write_kitti_odometry
+from polemap.simulate.kitti_raw_layout import write_kitti_raw
+from polemap.simulate.scenario import Scenario
 
 
 def ranges(poses: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulate.mesh import Mesh, box, cards, cylinder, join, panel
+from polemap.simulate.mesh import Mesh, box, cards, cylinder, join, panel
 
 sizes = st.floats(0.1, 20.0)
 angles = st.floats(-np.pi, np.pi)

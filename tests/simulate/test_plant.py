@@ -10,9 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivelog.errors import ConfigError
-from simulate.plant import GRAVITY_MPS2, Plant, PlantInput, PlantParameters, PlantState, patches
-from simulate.tyre import brush_force
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.plant import (
+    GRAVITY_MPS2,
+    Plant,
+    PlantInput,
+    PlantParameters,
+    PlantState,
+    patches,
+)
+from polemap.vehicle.tyre import brush_force
 
 CAR = PlantParameters(
     mass_kg=380.0,

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 from vehiclemodels.vehicle_dynamics_st import vehicle_dynamics_st
 
-from simulate.plant import GRAVITY_MPS2, Plant, PlantInput, PlantParameters
+from polemap.simulate.plant import GRAVITY_MPS2, Plant, PlantInput, PlantParameters
 
 SPEED_MPS, STEER_RAD, PERIOD_S, SECONDS = 15.0, 0.002, 2.0, 4.0
 

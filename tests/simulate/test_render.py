@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from simulate.camera_pose import CameraPose, camera_poses
-from simulate.materials import TILES
-from simulate.mesh import box, cylinder, join, quads
-from simulate.picture_rays import cast_picture, picture_rays, rays_through
-from simulate.raycast import Caster
-from simulate.render import Renderer, RenderOptions
-from simulate.shading import SKY_OWNER
-from simulate.world import World
-from stereo.rig import Mounting, StereoRig, rotation_from_angles
+from polemap.simulate.camera_pose import CameraPose, camera_poses
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import box, cylinder, join, quads
+from polemap.simulate.picture_rays import cast_picture, picture_rays, rays_through
+from polemap.simulate.raycast import Caster
+from polemap.simulate.render import Renderer, RenderOptions
+from polemap.simulate.shading import SKY_OWNER
+from polemap.simulate.world import World
+from polemap.stereo.rig import Mounting, StereoRig, rotation_from_angles
 
 RIG = StereoRig(161, 121, 150.0, 80.0, 60.0, 0.4, Mounting(1.5, 0.2, 1.4))
 NOTHING = join([])

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivelog.errors import ConfigError
-from simulate.ground import kerb_m, make_section
-from simulate.route import make_route
-from simulate.scenario import SectionSpec
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.ground import kerb_m, make_section
+from polemap.simulate.route import make_route
+from polemap.simulate.scenario import SectionSpec
 
 LOOP = [(0.0, 0.0), (80.0, 5.0), (90.0, 50.0), (-5.0, 55.0)]
 

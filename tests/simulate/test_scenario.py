@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from drivelog.errors import ConfigError, InputError
-from simulate.route import make_route
-from simulate.scenario import Scenario, load_scenario, scenario_names
-from simulate.world import KINDS, World, make_world
+from polemap.drivelog.errors import ConfigError, InputError
+from polemap.simulate.route import make_route
+from polemap.simulate.scenario import Scenario, load_scenario, scenario_names
+from polemap.simulate.world import KINDS, World, make_world
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -75,7 +75,7 @@ def test_an_unknown_kind_is_told_the_known_ones(street: Scenario) -> None:
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_every_kind_stands_on_the_ground_and_is_as_thick_as_it_says(kind: str) -> None:
-    from simulate.objects import Wish
+    from polemap.simulate.objects import Wish
 
     for seed in range(3):
         made = KINDS[kind](np.random.default_rng(seed), Wish())

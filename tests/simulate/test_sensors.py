@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simulate import sensors
-from simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
-from simulate.driver import Motion, drive_route
-from simulate.route import make_route
-from simulate.scenario import Scenario
-from simulate.skyline import Fronts, echoes
-from simulate.traffic import make_traffic
-from simulate.world import make_world
+from polemap.simulate import sensors
+from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
+from polemap.simulate.driver import Motion, drive_route
+from polemap.simulate.route import make_route
+from polemap.simulate.scenario import Scenario
+from polemap.simulate.skyline import Fronts, echoes
+from polemap.simulate.traffic import make_traffic
+from polemap.simulate.world import make_world
 
 ORIGIN = np.array([400_000.0, 5_800_000.0])
 OPEN = Fronts.of([])

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import simulate.render as render
-from simulate.camera_pose import camera_poses
-from simulate.materials import TILES
-from simulate.mesh import box
-from simulate.render import Renderer, RenderOptions, View
-from simulate.scenario import LightSpec
-from simulate.shading import make_shader
-from simulate.world import World
-from stereo.rig import Mounting, StereoRig, rotation_from_angles
+import polemap.simulate.render as render
+from polemap.simulate.camera_pose import camera_poses
+from polemap.simulate.materials import TILES
+from polemap.simulate.mesh import box
+from polemap.simulate.render import Renderer, RenderOptions, View
+from polemap.simulate.scenario import LightSpec
+from polemap.simulate.shading import make_shader
+from polemap.simulate.world import World
+from polemap.stereo.rig import Mounting, StereoRig, rotation_from_angles
 
 RIG = StereoRig(200, 120, 160.0, 99.5, 59.5, 0.4, Mounting(1.5, 0.2, 1.4))
 
@@ -41,7 +41,7 @@ def views(
 def test_the_kernel_equals_arrays(
     world: World, dusk: bool, shadows: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("simulate.native.shading_kernel", reason="the kernel is not built")
+    pytest.importorskip("polemap.simulate.native.shading_kernel", reason="the kernel is not built")
     if dusk:
         light = LightSpec(sun_elevation_deg=8, sun=0.3, sky=0.05, clouds=0.5, dusk=True)
         scenario = world.scenario.model_copy(update={"light": light})

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simulate.materials import TILES
-from simulate.patterns import TILE_PX, dead_leaves, fractal
-from simulate.textures import LEVELS, Atlas, make_atlas
+from polemap.simulate.materials import TILES
+from polemap.simulate.patterns import TILE_PX, dead_leaves, fractal
+from polemap.simulate.textures import LEVELS, Atlas, make_atlas
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo.census import census_planes
+from polemap.stereo.census import census_planes
 
 LARGEST_SUM = 255  # larger sums count as this one, and so does a rival that does not exist
 EIGHT = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stereo.config import StereoConfig
-from stereo.matching import DisparityPair, Image, make_matcher
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import DisparityPair, Image, make_matcher
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Matched:
 @pytest.fixture(scope="session")
 def held_out_pairs(recording: Callable[[str], Path]) -> list[Matched]:
     """Every second pair of KITTI 2015 was used for calibration; these are of the others."""
-    pytest.importorskip("stereo.native.census_kernel")
+    pytest.importorskip("polemap.stereo.native.census_kernel")
     folder = recording("kitti_2015") / "training"
     matcher = make_matcher(StereoConfig())
     found = []

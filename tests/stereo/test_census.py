@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereo.census import census_pairs, census_planes, partial_ranks, rank_transform
+from polemap.stereo.census import census_pairs, census_planes, partial_ranks, rank_transform
 
 
 def at(image, v, u):

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tests.stereo.census_reference as reference
-from stereo.census import census_pairs
-from stereo.config import Penalties, StepPenalty, StereoConfig
-from stereo.errors import StereoError
-from stereo.matching import make_matcher
+from polemap.stereo.census import census_pairs
+from polemap.stereo.config import Penalties, StepPenalty, StereoConfig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching import make_matcher
 
-kernel = pytest.importorskip("stereo.native.census_kernel")
+kernel = pytest.importorskip("polemap.stereo.native.census_kernel")
 
 INSTRUCTION_SETS = kernel.instruction_sets()
 MAPS = ("left", "right", "left_unchecked", "right_unchecked", "left_margin", "right_margin")

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stereo.depth_edges import depth_edges, upright_maps
-from stereo.matching import DisparityPair
+from polemap.stereo.depth_edges import depth_edges, upright_maps
+from polemap.stereo.matching import DisparityPair
 
 _HEIGHT, _WIDTH = 20, 200
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import stereo.depth_edges as fast
-from stereo.depth_edges import DepthEdges, UprightMaps, depth_edges, upright_maps
-from stereo.matching import DisparityPair
+import polemap.stereo.depth_edges as fast
+from polemap.stereo.depth_edges import DepthEdges, UprightMaps, depth_edges, upright_maps
+from polemap.stereo.matching import DisparityPair
 
 Floats = NDArray[np.float32]
 

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereo.error_model import (
+from polemap.stereo.error_model import (
     OUTLIER_PX,
     DisparityErrorModel,
     ground_covariance_m2,
     range_sd_m,
     texture,
 )
-from stereo.errors import StereoError
-from stereo.rig import Mounting, StereoRig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.rig import Mounting, StereoRig
 
 RIG = StereoRig(768, 480, 820.0, 383.5, 239.5, 0.3, Mounting(1.9, 0.15, 1.3, 0.01, 0.03, -0.1))
 

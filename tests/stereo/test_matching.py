@@ -8,21 +8,21 @@ import warnings
 import numpy as np
 import pytest
 
-from stereo import matching
-from stereo.config import StereoConfig
-from stereo.errors import StereoError
-from stereo.matching import make_matcher
-from stereo.rig import StereoRig
+from polemap.stereo import matching
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching import make_matcher
+from polemap.stereo.rig import StereoRig
 
 
 def test_the_configuration_names_the_matcher():
-    pytest.importorskip("stereo.native.census_kernel")
+    pytest.importorskip("polemap.stereo.native.census_kernel")
     assert make_matcher(StereoConfig()).name == "census_sgm"
     assert make_matcher(StereoConfig(matcher="opencv_sgbm")).name == "opencv_sgbm"
 
 
 def test_without_the_extension_opencv_serves_with_one_warning(monkeypatch):
-    monkeypatch.setitem(sys.modules, "stereo.native.census_kernel", None)
+    monkeypatch.setitem(sys.modules, "polemap.stereo.native.census_kernel", None)
     matching._warn_once.cache_clear()
     with pytest.warns(RuntimeWarning, match="not built"):
         first = make_matcher(StereoConfig(disparities=32))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereo.config import OpenCvConfig, StereoConfig
-from stereo.errors import StereoError
-from stereo.opencv_sgbm import OpenCvSgbm
-from stereo.rig import StereoRig
+from polemap.stereo.config import OpenCvConfig, StereoConfig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.opencv_sgbm import OpenCvSgbm
+from polemap.stereo.rig import StereoRig
 
 
 def shifted_pair(shift: int, dtype: type = np.uint8) -> tuple[np.ndarray, np.ndarray]:

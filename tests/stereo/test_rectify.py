@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
-from stereo.errors import StereoError
-from stereo.io import read_camera_info, read_kitti_calibration
-from stereo.rectify import (
+from polemap.stereo.errors import StereoError
+from polemap.stereo.io import read_camera_info, read_kitti_calibration
+from polemap.stereo.rectify import (
     CameraCalibration,
     Rectifier,
     StereoCalibration,

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereo.config import OpenCvConfig, StereoConfig
-from stereo.errors import StereoError
-from stereo.matching import DisparityPair, make_matcher
-from stereo.trust import (
+from polemap.stereo.config import OpenCvConfig, StereoConfig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.matching import DisparityPair, make_matcher
+from polemap.stereo.trust import (
     AREA_PX,
     COLUMN_PX,
     LAWS,
@@ -120,7 +120,7 @@ def test_the_filter_keeps_exactly_what_the_law_trusts():
 @pytest.mark.parametrize("matcher", ["census_sgm", "opencv_sgbm"])
 def test_the_setting_reaches_both_matchers(matcher):
     if matcher == "census_sgm":
-        pytest.importorskip("stereo.native.census_kernel")
+        pytest.importorskip("polemap.stereo.native.census_kernel")
     rng = np.random.default_rng(4)
     wide = rng.integers(0, 255, (80, 160)).astype(np.uint8)
     left, right = wide[:, :150].copy(), wide[:, 10:].copy()

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from drivelog.frames import EarthFrame
-from polemap.io import read_map, write_map
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.io import read_map, write_map
+from polemap.tools import cli
 from tests.drivelog.drives import write_small
-from tools import cli
 
 Damage = Callable[[Path], None]
 

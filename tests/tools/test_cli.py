@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivelog.errors import InputError
-from tools import cli
+from polemap.drivelog.errors import InputError
+from polemap.tools import cli
 
 
 def test_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from polemap.tools.cli import run
 from tests.polemap.street import RIG, Thing, street
-from tools.cli import run
 
 POLES = [Thing(14.0, 2.5, 0.25, 4.0), Thing(17.0, -3.0, 0.3, 4.0)]
 DISTRACTION = Thing(16.0, 5.5, 0.9, 1.9)

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from drivelog.errors import ConfigError
-from stereo.config import StereoConfig
-from tools.cli import run
-from tools.disparity import colour_picture, encode, fitting_settings
+from polemap.drivelog.errors import ConfigError
+from polemap.stereo.config import StereoConfig
+from polemap.tools.cli import run
+from polemap.tools.disparity import colour_picture, encode, fitting_settings
 
 
 def write_pair(folder, dtype, top, shift=9, colour=False):

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tools.cli import run
-from vehicle.config import EstimatorConfig
-from vehicle.io import load_car
-from vehicle.studies.scenes import Scene, drive_with_camera
+from polemap.electric.config import EstimatorConfig
+from polemap.electric.studies.scenes import Scene, drive_with_camera
+from polemap.tools.cli import run
+from polemap.vehicle.io import load_car
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_identify_finds_the_plant_and_writes_a_car(
 ) -> None:
     out = log.parent / "mine.yaml"
     soft = log.parent / "soft.yaml"
-    from vehicle.io import dump_car
+    from polemap.vehicle.io import dump_car
 
     soft.write_text(dump_car(load_car("coms").scaled(stiffness=0.6)))
     call = ["estimate", str(log), "--vehicle", str(soft), "--identify", "0:4", "--out", str(out)]

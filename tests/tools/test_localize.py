@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from drivelog.writers.folder import write_drive
-from polemap.io import write_map
-from simulate.point_drive import PointNoise
-from simulate.pole_street import pole_street
-from tools import cli
+from polemap.drivelog.writers.folder import write_drive
+from polemap.map.io import write_map
+from polemap.simulate.point_drive import PointNoise
+from polemap.simulate.pole_street import pole_street
+from polemap.tools import cli
 
 FEW = ["--set", "localize.particles=150"]
 

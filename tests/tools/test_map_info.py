@@ -9,14 +9,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from drivelog.drive import Lap
-from drivelog.frames import EarthFrame
-from drivelog.writers.folder import folder_writer
-from polemap.io import read_map, write_map
-from polemap.landmark_map import PoleMap
-from polemap.upkeep import match_points
+from polemap.build.map_diff import match_points
+from polemap.drivelog.drive import Lap
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.writers.folder import folder_writer
+from polemap.map.io import read_map, write_map
+from polemap.map.landmark_map import PoleMap
+from polemap.tools.cli import run
 from tests.polemap.town import FRAME, Town, drive_through, make_town, route
-from tools.cli import run
 
 
 def write_drive(path: Path, town: Town, seed: int, frame: EarthFrame = FRAME) -> Path:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tools import cli
-from tools.study import table, write_study
-from vehicle.studies.study import Curve, Line, Panel, Study
+from polemap.electric.studies.study import Curve, Line, Panel, Study
+from polemap.tools import cli
+from polemap.tools.study import table, write_study
 
 STUDY = Study(
     "X",

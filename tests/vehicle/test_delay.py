@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle.delay import ClonedFilter, Placement, ReplayBuffer
-from vehicle.errors import VehicleError
-from vehicle.kalman import innovate, joseph_update, predict
+from polemap.vehicle.delay import ClonedFilter, Placement, ReplayBuffer
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.kalman import innovate, joseph_update, predict
 
 
 def recording(state, stamp_s, event):

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from vehicle.discretize import van_loan, zero_order_hold
-from vehicle.errors import VehicleError
+from polemap.vehicle.discretize import van_loan, zero_order_hold
+from polemap.vehicle.errors import VehicleError
 
 
 @given(st.integers(0, 10_000), st.floats(0.001, 0.5))

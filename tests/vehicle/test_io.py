@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vehicle.errors import VehicleError
-from vehicle.io import car_names, dump_car, load_car, parse_car
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.io import car_names, dump_car, load_car, parse_car
 
 
 @pytest.mark.parametrize("name", car_names())

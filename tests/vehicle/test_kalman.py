@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle.errors import VehicleError
-from vehicle.kalman import (
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.kalman import (
     angle_residual,
     chi_square_gate,
     innovate,

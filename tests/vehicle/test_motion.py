@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle.discretize import van_loan
-from vehicle.motion import (
+from polemap.vehicle.discretize import van_loan
+from polemap.vehicle.motion import (
     arc_jacobians,
     ctrv_jacobian,
     ctrv_process_noise,
@@ -16,7 +16,7 @@ from vehicle.motion import (
     sinc,
     sinc_slope,
 )
-from vehicle.pose import wrap_angle
+from polemap.vehicle.pose import wrap_angle
 
 turns = st.one_of(st.floats(-3.0, 3.0), st.sampled_from([0.0, 1e-12, -1e-12, 1e-7, 0.0499, 0.0501]))
 yaws = st.floats(-3.1, 3.1)

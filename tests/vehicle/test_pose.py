@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle.pose import Pose2D, shift_forward, wrap_angle
+from polemap.vehicle.pose import Pose2D, shift_forward, wrap_angle
 
 coordinate = st.floats(-1e3, 1e3)
 angle = st.floats(-50.0, 50.0)

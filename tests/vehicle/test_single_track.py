@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle.config import EstimatorConfig
-from vehicle.errors import VehicleError
-from vehicle.estimators.vision import ALL_ROWS, vision_density
-from vehicle.io import load_car
-from vehicle.single_track import (
+from polemap.electric.config import EstimatorConfig
+from polemap.electric.estimators.vision import ALL_ROWS, vision_density
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.io import load_car
+from polemap.vehicle.single_track import (
     KINEMATIC_SPEED_MPS,
     combined_vision,
     disturbed_course,
@@ -130,7 +130,7 @@ def test_planar_velocity_turns_only() -> None:
 
 
 def test_schedule_refuses_no_step() -> None:
-    from vehicle.single_track import Schedule
+    from polemap.vehicle.single_track import Schedule
 
     with pytest.raises(VehicleError, match="must be positive"):
         Schedule(combined_vision, COMS, np.diag(DENSITY), 0.0)

@@ -9,18 +9,18 @@ from typing import Annotated
 
 import typer
 
-from drivelog.errors import ConfigError
-from tools.progress import progress
-from tools.report.evaluate import evaluate_route, route_systems
-from tools.report.exclusions import parse_interval
-from tools.report.results import RouteResult
-from tools.report.routes import open_routes
-from tools.report.runs import read_run_set
-from tools.report.sweep_output import sweep_output
-from tools.report.sweep_spec import parse_sweep
-from tools.report.sweeps import run_sweeps
-from tools.report.write import NO_SWEEPS, write_report
-from tools.settings import SeedOption
+from polemap.drivelog.errors import ConfigError
+from polemap.evaluation.exclusions import parse_interval
+from polemap.evaluation.results import RouteResult
+from polemap.evaluation.route import evaluate_route, route_systems
+from polemap.evaluation.routes import open_routes
+from polemap.evaluation.runs.io import read_run_set
+from polemap.tools.progress import progress
+from polemap.tools.report.sweep_output import sweep_output
+from polemap.tools.report.sweep_spec import parse_sweep
+from polemap.tools.report.sweeps import run_sweeps
+from polemap.tools.report.write import NO_SWEEPS, write_report
+from polemap.tools.settings import SeedOption
 
 
 def command(

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from tools.report.bootstrap import Difference, paired_difference
-from tools.report.results import RouteResult, SystemResult
-from tools.report.tables import Table, number, span
+from polemap.evaluation.bootstrap import Difference, paired_difference
+from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.tools.report.tables import Table, number, span
 
 MEASURES = {
     "lateral_m": "lateral RMSE [m]",

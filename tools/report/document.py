@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from tools.report.results import RouteResult, SystemResult
-from tools.report.route_tables import passes_text, poles_per_km, route_type
-from tools.report.run_tables import EVENTS, latency_ms, runs_of, whole_update_ms
-from tools.report.tables import Table
+from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.tools.report.route_tables import passes_text, poles_per_km, route_type
+from polemap.tools.report.run_tables import EVENTS, latency_ms, runs_of, whole_update_ms
+from polemap.tools.report.tables import Table
 
 FORMAT_VERSION = 1
 

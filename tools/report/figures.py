@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.report.exclusions import excluded_mask
-from tools.report.filter_figures import (
+from polemap.evaluation.exclusions import excluded_mask
+from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.tools.report.filter_figures import (
     consistency,
     errors_over_time,
     localizability_picture,
     poles_along_route,
     timing_picture,
 )
-from tools.report.results import RouteResult, SystemResult
-from tools.report.route_tables import KIND_NAMES
-from tools.report.style import (
+from polemap.tools.report.route_tables import KIND_NAMES
+from polemap.tools.report.style import (
     COLOURS,
     FAINT,
     INK,

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from tools.report.results import RouteResult, SystemResult
-from tools.report.route_bound import PRIOR_SD, route_bound
-from tools.report.run_tables import STAGE_NAMES, runs_of
-from tools.report.style import (
+from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.tools.report.route_bound import PRIOR_SD, route_bound
+from polemap.tools.report.run_tables import STAGE_NAMES, runs_of
+from polemap.tools.report.style import (
     COLOURS,
     FAINT,
     INK,

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import LineString
 
-from tools.report.figures import drawn_systems, near_points, system_label
-from tools.report.results import RouteResult
-from tools.report.route_bound import STEP_M, route_bound
+from polemap.evaluation.results import RouteResult
+from polemap.tools.report.figures import drawn_systems, near_points, system_label
+from polemap.tools.report.route_bound import STEP_M, route_bound
 
 Floats = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
 
-from tools.report.interactive_map import InteractiveMap
-from tools.report.style import Picture, theme_css
-from tools.report.tables import Table
+from polemap.tools.report.interactive_map import InteractiveMap
+from polemap.tools.report.style import Picture, theme_css
+from polemap.tools.report.tables import Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def render_page(page: Page) -> str:
     package's own style sheet and script, and pictures whose text their renderer has escaped. A
     content security policy allows no script but that one, by its hash.
     """
-    templates = files("tools.report") / "templates"
+    templates = files("polemap.tools.report") / "templates"
     light, dark = theme_css()
     css = (templates / "page.css").read_text(encoding="utf-8")
     script = (templates / "page.js").read_text(encoding="utf-8")

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivelog.errors import ConfigError
-from localize.likelihood import default_view
-from polemap.localizability import Localizability, camera_sensor, drive_sensor, localizability
-from tools.report.results import RouteResult
-from tools.report.sweep_spec import settings_of
+from polemap.drivelog.errors import ConfigError
+from polemap.evaluation.localizability import (
+    Localizability,
+    camera_sensor,
+    drive_sensor,
+    localizability,
+)
+from polemap.evaluation.results import RouteResult
+from polemap.localize.particle_filter.sensor_model import default_view
+from polemap.tools.report.sweep_spec import settings_of
 
 STEP_M = 4.0
 # What a car knows without any pole: a wide prior keeps the bound finite, and a single pole useful.

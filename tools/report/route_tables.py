@@ -9,10 +9,10 @@ import numpy as np
 import yaml
 from scipy.spatial import KDTree
 
-from tools.report.laps import road_length_m
-from tools.report.results import RouteResult, SystemResult
-from tools.report.run_tables import accuracy_table, event_table, run_spread, timing_table
-from tools.report.tables import Table, number, span, with_spread
+from polemap.evaluation.laps import road_length_m
+from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.tools.report.run_tables import accuracy_table, event_table, run_spread, timing_table
+from polemap.tools.report.tables import Table, number, span, with_spread
 
 NEAR_ROUTE_M = 15.0
 KIND_NAMES = {

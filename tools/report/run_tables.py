@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.report.exclusions import START_UP_S
-from tools.report.results import RouteResult, SystemResult
-from tools.report.runs import Run
-from tools.report.tables import Table, number, with_spread
+from polemap.evaluation.exclusions import START_UP_S
+from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.evaluation.runs.io import Run
+from polemap.tools.report.tables import Table, number, with_spread
 
 # The stages of metrics.json and timing.csv, in the order of the data.
 STAGE_NAMES = {

@@ -13,17 +13,17 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from drivelog.atomic import atomic_file
-from drivelog.errors import InputError
-from drivelog.samples import PoleScan
-from localize.replay import replay
 from polemap.config import PolemapConfig
-from polemap.io import read_map
-from polemap.landmark_map import PoleMap
-from tools.looking import Source, read_looks, tracked
-from tools.report.runs import Run
-from tools.report.trajectory import Trajectory
-from tools.settings import Settings
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.samples import PoleScan
+from polemap.evaluation.runs.io import Run
+from polemap.evaluation.trajectory import Trajectory
+from polemap.localize.replay import replay
+from polemap.map.io import read_map
+from polemap.map.landmark_map import PoleMap
+from polemap.tools.looking import Source, read_looks, tracked
+from polemap.tools.settings import Settings
 
 OUTPUT_SPACING_M = 0.1
 

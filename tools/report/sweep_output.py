@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from tools.report.style import COLOURS, INK, Picture, drawing, finish, legend_above, tidy
-from tools.report.sweeps import SweptRoute, SweptValue
-from tools.report.tables import Table, number, with_spread
-from tools.report.write import SweepOutput
+from polemap.tools.report.style import COLOURS, INK, Picture, drawing, finish, legend_above, tidy
+from polemap.tools.report.sweeps import SweptRoute, SweptValue
+from polemap.tools.report.tables import Table, number, with_spread
+from polemap.tools.report.write import SweepOutput
 
 _NAMES = {"frame_rate": "frame rate [Hz]", "particles": "particles"}
 

@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from drivelog.drive import Drive
-from drivelog.errors import InputError, PolemapError
 from polemap import __version__
-from tools.looking import LookJob, Source, do_look, look_jobs, run_jobs, what_is_seen_by
-from tools.report.evaluate import measure
-from tools.report.results import RouteResult, System, SystemResult
-from tools.report.routes import Recording
-from tools.report.runs import Run
-from tools.report.sweep_jobs import ReplayJob, do_replay, read_result, thinned
-from tools.report.sweep_spec import Sweep, SweepValue, settings_of
-from tools.scan_cache import drive_fingerprint, fingerprint
-from tools.settings import Settings
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError, PolemapError
+from polemap.evaluation.results import RouteResult, System, SystemResult
+from polemap.evaluation.route import measure
+from polemap.evaluation.routes import Recording
+from polemap.evaluation.runs.io import Run
+from polemap.tools.looking import LookJob, Source, do_look, look_jobs, run_jobs, what_is_seen_by
+from polemap.tools.report.sweep_jobs import ReplayJob, do_replay, read_result, thinned
+from polemap.tools.report.sweep_spec import Sweep, SweepValue, settings_of
+from polemap.tools.scan_cache import drive_fingerprint, fingerprint
+from polemap.tools.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)

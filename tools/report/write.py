@@ -11,19 +11,19 @@ from typing import Any
 
 import yaml
 
-from drivelog.atomic import atomic_file
 from polemap import __version__
-from tools.machine import describe_machine
-from tools.report.comparison import compare_systems
-from tools.report.document import document, document_text
-from tools.report.figures import route_pictures
-from tools.report.interactive_map import interactive_map
-from tools.report.page import Page, Section, SettingsText, render_page
-from tools.report.results import RouteResult
-from tools.report.route_tables import all_tables, repeatability_table
-from tools.report.style import Picture
-from tools.report.tables import Table, csv_text, latex_text
-from tools.report.trajectory import Trajectory, tum_text
+from polemap.drivelog.atomic import atomic_file
+from polemap.evaluation.results import RouteResult
+from polemap.evaluation.trajectory import Trajectory, tum_text
+from polemap.tools.machine import describe_machine
+from polemap.tools.report.comparison import compare_systems
+from polemap.tools.report.document import document, document_text
+from polemap.tools.report.figures import route_pictures
+from polemap.tools.report.interactive_map import interactive_map
+from polemap.tools.report.page import Page, Section, SettingsText, render_page
+from polemap.tools.report.route_tables import all_tables, repeatability_table
+from polemap.tools.report.style import Picture
+from polemap.tools.report.tables import Table, csv_text, latex_text
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,15 @@ from math import pi
 import numpy as np
 import pytest
 
-from simulate.closed_loop.choice import NONE, TRUTH
-from simulate.closed_loop.cornering import Corner, CornerSettings, yaw_moment_limit_nm
-from simulate.closed_loop.cornering_study import ICE, ICE_STEER_RAD, SPUN_RAD, Case
-from simulate.closed_loop.lane_change import LaneChange
-from simulate.closed_loop.lane_study import MARGIN_DB, SPEED_MPS, run_lane
-from simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
-from vehicle.control.body_slip import place_pi
-from vehicle.io import load_car
-from vehicle.single_track import lateral
+from polemap.electric.control.body_slip import place_pi
+from polemap.simulate.closed_loop.choice import NONE, TRUTH
+from polemap.simulate.closed_loop.cornering import Corner, CornerSettings, yaw_moment_limit_nm
+from polemap.simulate.closed_loop.cornering_study import ICE, ICE_STEER_RAD, SPUN_RAD, Case
+from polemap.simulate.closed_loop.lane_change import LaneChange
+from polemap.simulate.closed_loop.lane_study import MARGIN_DB, SPEED_MPS, run_lane
+from polemap.simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
+from polemap.vehicle.io import load_car
+from polemap.vehicle.single_track import lateral
 
 COMS = load_car("coms")
 DRY = Case(COMS, Corner(begin_s=1.5), 0.9, 4.5)

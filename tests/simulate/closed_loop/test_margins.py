@@ -7,7 +7,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from simulate.closed_loop.margins import (
+from polemap.electric.control.body_slip import PiGains, place_pi
+from polemap.simulate.closed_loop.margins import (
     FAST_S,
     SLOW_S,
     gains_for_margin,
@@ -15,11 +16,10 @@ from simulate.closed_loop.margins import (
     margin_with_estimator_db,
     scaled,
 )
-from vehicle.control.body_slip import PiGains, place_pi
-from vehicle.discretize import zero_order_hold
-from vehicle.errors import VehicleError
-from vehicle.io import load_car
-from vehicle.single_track import lateral
+from polemap.vehicle.discretize import zero_order_hold
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.io import load_car
+from polemap.vehicle.single_track import lateral
 
 COMS, SPEED = load_car("coms"), 25.0 / 3.6
 GAINS = place_pi(*lateral(COMS, SPEED), 2.0 * pi)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivelog.errors import ConfigError
-from simulate.closed_loop.path_following import FollowScenario, follow_path, longest_swinging
-from simulate.closed_loop.path_study import path_study
-from simulate.closed_loop.road import winding_road
-from simulate.point_world import PointScenario
-from vehicle.io import load_car
+from polemap.drivelog.errors import ConfigError
+from polemap.simulate.closed_loop.path_following import (
+    FollowScenario,
+    follow_path,
+    longest_swinging,
+)
+from polemap.simulate.closed_loop.path_study import path_study
+from polemap.simulate.closed_loop.road import winding_road
+from polemap.simulate.point_world import PointScenario
+from polemap.vehicle.io import load_car
 
 PASSAT = load_car("passat")
 TIME = np.arange(0.0, 20.0, 0.01)

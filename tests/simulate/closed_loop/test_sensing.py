@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivelog.errors import ConfigError
-from simulate.closed_loop.cars import plant_of
-from simulate.closed_loop.choice import CAMERA_NOISE, choose, fresh, kinds_for
-from simulate.closed_loop.sensing import SensorFeed, SensorModel
-from simulate.plant import Plant, PlantInput
-from vehicle.estimators.base import CAMERA, GPS, YAW_RATE, Estimate, Inputs, Value
-from vehicle.estimators.registry import ESTIMATORS
-from vehicle.io import load_car
+from polemap.drivelog.errors import ConfigError
+from polemap.electric.estimators.base import CAMERA, GPS, YAW_RATE, Estimate, Inputs, Value
+from polemap.electric.estimators.registry import ESTIMATORS
+from polemap.simulate.closed_loop.cars import plant_of
+from polemap.simulate.closed_loop.choice import CAMERA_NOISE, choose, fresh, kinds_for
+from polemap.simulate.closed_loop.sensing import SensorFeed, SensorModel
+from polemap.simulate.plant import Plant, PlantInput
+from polemap.vehicle.io import load_car
 
 COMS = load_car("coms")
 QUIET = SensorModel(

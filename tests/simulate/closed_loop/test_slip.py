@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.closed_loop.cars import plant_of
-from simulate.closed_loop.slip import (
+from polemap.simulate.closed_loop.cars import plant_of
+from polemap.simulate.closed_loop.slip import (
     SheetScene,
     SlipRun,
     Velocity,
@@ -18,7 +18,7 @@ from simulate.closed_loop.slip import (
     run_sheet,
     with_lag,
 )
-from vehicle.io import load_car
+from polemap.vehicle.io import load_car
 
 PARAMETERS, SCENE = plant_of(load_car("coms")), SheetScene(length_m=4.0)
 

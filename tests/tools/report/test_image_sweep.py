@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulate.config import CameraConfig, OdometryConfig, RenderConfig, SimulateConfig
-from simulate.drive import simulate_drive
-from simulate.scenario import Scenario
-from tools import cli
-from tools.report.run_tables import STAGE_NAMES
-from tools.report.runs import read_run_set
+from polemap.evaluation.runs.io import read_run_set
+from polemap.simulate.config import CameraConfig, OdometryConfig, RenderConfig, SimulateConfig
+from polemap.simulate.drive import simulate_drive
+from polemap.simulate.scenario import Scenario
+from polemap.tools import cli
+from polemap.tools.report.run_tables import STAGE_NAMES
 
 STREET = Scenario.model_validate(
     {

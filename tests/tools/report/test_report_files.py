@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tools import cli
-from tools.report.accuracy import errors_against, summary
-from tools.report.trajectory import Trajectory, read_tum, tum_text
+from polemap.evaluation.accuracy import errors_against, summary
+from polemap.evaluation.trajectory import Trajectory, read_tum, tum_text
+from polemap.tools import cli
 
 Maker = Callable[..., Path]
 

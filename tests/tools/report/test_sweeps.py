@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tools import cli
-from tools.report.sweep_spec import parse_sweep, settings_of
+from polemap.tools import cli
+from polemap.tools.report.sweep_spec import parse_sweep, settings_of
 
 Maker = Callable[..., Path]
 

@@ -1,0 +1,1 @@
+"""Electric-vehicle work on the vehicle core: estimators, controllers, signal logs, studies."""

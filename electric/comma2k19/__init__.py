@@ -1,0 +1,1 @@
+"""comma2k19 segments as signal logs."""

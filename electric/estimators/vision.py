@@ -1,0 +1,66 @@
+"""What the camera filters share: the model's schedule, the start and the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.electric.config import EstimatorConfig
+from polemap.electric.estimators.base import Clock, Estimate, Inputs, OutputBridge
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import combined_vision, schedule
+
+Floats = NDArray[np.float64]
+SEEN = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""Rows of heading and lateral offset in `[beta, gamma, psi, y_l]`."""
+ALL_ROWS = np.array([[0.0, 1.0, 0.0, 0.0], *SEEN])
+"""Rows of yaw rate, heading and lateral offset."""
+
+
+def vision_density(config: EstimatorConfig) -> tuple[float, ...]:
+    """Diagonal of the process noise: the vehicle model errs, the geometry does not."""
+    return (config.sideslip_walk_rad**2, config.yaw_rate_walk_radps**2, 0.0, 0.0)
+
+
+def initial_covariance(config: EstimatorConfig) -> Floats:
+    """`(4, 4)`."""
+    return np.diag(
+        [
+            config.initial_sideslip_sd_rad**2,
+            config.initial_yaw_rate_sd_radps**2,
+            config.initial_heading_sd_rad**2,
+            config.initial_offset_sd_m**2,
+        ]
+    )
+
+
+class VisionFilter:
+    """Base of the camera filters: clock, model, noise, and the bridge over a lost camera."""
+
+    fields = ("sideslip_rad", "yaw_rate_radps", "heading_rad", "lateral_offset_m")
+
+    def __init__(self, car: Car, config: EstimatorConfig) -> None:
+        self._config = config
+        self._schedule = schedule(combined_vision, car, vision_density(config), config.step_s)
+        self._clock = Clock(config.step_s)
+        self._gyro_variance = config.gyro_sd_radps**2
+        self._camera_noise = np.diag([config.heading_sd_rad**2, config.lateral_offset_sd_m**2])
+        self._bridge = OutputBridge(config, 4)
+        self.dropped: dict[str, int] = {}
+
+    def _model(self, stamp_s: float, inputs: Inputs) -> tuple[Floats, Floats, Floats] | None:
+        """G, H u and Q of the step to `stamp_s`, or None at the first."""
+        elapsed = self._clock.advance(stamp_s)
+        if not elapsed:
+            return None
+        g, h, q = self._schedule.at(inputs.speed_mps, elapsed)
+        driven = h[:, 0] * inputs.road_wheel_angle_rad
+        if inputs.yaw_moment_nm:
+            driven += h[:, 1] * inputs.yaw_moment_nm
+        return g, driven, q
+
+    def _drop(self, reason: str) -> None:
+        self.dropped[reason] = self.dropped.get(reason, 0) + 1
+
+    def _output(self, mean: Floats, covariance: Floats) -> Estimate:
+        return self._bridge.output(self._clock.stamp_s, self.fields, mean, covariance)

@@ -1,0 +1,263 @@
+"""Each paper's simulation with its table: our figures, the paper's claim, and the errata's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from polemap.electric.config import EstimatorConfig
+from polemap.electric.estimators.registry import make_estimator
+from polemap.electric.signals import SignalLog, play
+from polemap.electric.studies.convergence import frame_radii, update_jumps
+from polemap.electric.studies.outcomes import EVERY, SETTLED_S, outcome, sideslip_curves
+from polemap.electric.studies.scenes import Scene, Simulated, drive_with_camera, drive_with_gps
+from polemap.electric.studies.settings import (
+    ACCELERATION_BIAS_MPS2,
+    GPS_NOISE,
+    GPS_STIFFNESS_NPRAD,
+    KMH,
+    MATCHED,
+    MISMATCH,
+    PATTERN_S,
+    ROLL_RAD_PER_MPS2,
+)
+from polemap.electric.studies.study import Curve, Line, Report, Study
+from polemap.vehicle.parameters import Car
+
+
+def _drives(plant: Car, scene: Scene, config: EstimatorConfig, seeds: int) -> list[Simulated]:
+    return [
+        drive_with_camera(plant, scene, config, np.random.default_rng(seed))
+        for seed in range(seeds)
+    ]
+
+
+def w12(car: Car, seeds: int = 10, report: Report = lambda _n: None) -> Study:
+    """Stiffness x 5, mass x 2, 30 km/h: single-rate and multi-rate against the bicycle."""
+    scene = Scene(30 * KMH, 8.0, 0.06, 0.5, model_noise=False)
+    drives = _drives(car.scaled(stiffness=5.0, mass=2.0), scene, MISMATCH, seeds)
+    lines, figures = _relative(
+        car,
+        drives,
+        {
+            "single_rate": ("0.6", "-16 % (experiment)"),
+            "clones": ("0.6", "-28 % (experiment)"),
+        },
+        report,
+    )
+    names = {
+        "bicycle": "bicycle",
+        "single_rate": "single rate",
+        "clones": "multi-rate, exact delay",
+    }
+    remarks = (
+        "Compare ratios: the paper prints neither noise nor steering amplitude.",
+        "Multi-rate and single-rate are close here; the paper's gap between them is not forced.",
+    )
+    curves = sideslip_curves(names, car, MISMATCH, drives[0])
+    return Study(
+        "W12", "Side-slip with a camera, model far off", tuple(lines), curves, remarks, figures
+    )
+
+
+def w14(car: Car, seeds: int = 10, report: Report = lambda _n: None) -> Study:
+    """Stiffness x 1.2, 25 km/h sine: all camera filters against the bicycle, and convergence."""
+    scene = Scene(25 * KMH, 8.0, 0.06, 0.5, model_noise=False)
+    drives = _drives(car.scaled(stiffness=1.2), scene, MISMATCH, seeds)
+    better = "better than bicycle"
+    lines, figures = _relative(
+        car,
+        drives,
+        {
+            "single_rate": ("0.82", better),
+            "clones": ("0.81", "better than single rate"),
+            "compensated": ("0.83", "best"),
+            "uneven_delay": ("0.77", "(W13)"),
+            "stiffness": ("0.04", "beyond the papers"),
+        },
+        report,
+    )
+    scales = []
+    for drive in drives:
+        played = play(make_estimator("stiffness", car, MISMATCH), drive.log, every=EVERY)
+        scales.append(played.column("stiffness_scale")[len(played.stamp_s) // 2 :].mean())
+        report(1)
+    figures["stiffness_scale"] = float(np.mean(scales))
+    lines.append(
+        Line(
+            "estimated stiffness scale", f"{np.mean(scales):.3f} +- {np.std(scales):.3f}", "1.2", ""
+        )
+    )
+    radii = frame_radii(car, MISMATCH, 25 * KMH)
+    jumps = update_jumps(car, MISMATCH, drives[0])
+    figures |= radii | jumps
+    gap = abs(radii["radius_compensated"] - radii["radius_ideal"])
+    lines.append(Line("radius a frame, compensated - ideal", f"{gap:.1e}", "4e-6", "converges"))
+    lines.append(
+        Line("radius a frame, uncompensated", f"{radii['radius_switching']:.4f}", "", "open loop")
+    )
+    share = jumps["jump_compensated_rad"] / jumps["jump_uncompensated_rad"]
+    figures["jump_share"] = share
+    lines.append(Line("jump at pictures, compensated / exact", f"{share:.3f}", "0.1", "smoother"))
+    remarks = (
+        "The full ordering bicycle > single > multi > compensated of the paper's Fig. 7 held at "
+        "none of 147 tunings (errata); under a wrong model a sub-optimal filter can win by "
+        "cancelling a bias.",
+        "Uncompensated is not open loop between pictures: the yaw rate still corrects it.",
+        "Table II does not reproduce: three closed-loop poles at -2 Hz cannot be had above "
+        "14.5 km/h, and 15.15 Hz is the Nyquist frequency of 33 ms.",
+    )
+    names = {
+        "bicycle": "bicycle",
+        "single_rate": "single rate",
+        "clones": "multi-rate, exact",
+        "compensated": "compensated",
+    }
+    curves = sideslip_curves(names, car, MISMATCH, drives[0])
+    return Study("W14", "Inter-sample compensation", tuple(lines), curves, remarks, figures)
+
+
+def w13(car: Car, seeds: int = 20, report: Report = lambda _n: None) -> Study:
+    """Matched noise: every treatment of the delay against the exact filter, two delay patterns."""
+    lines: list[Line] = []
+    figures: dict[str, float] = {}
+    curves: tuple[Curve, ...] = ()
+    expected = {
+        "reconstruction": ("1.00", "1.00"),
+        "uneven_delay": ("1.04", "1.01"),
+        "measurement_reconstruction": ("1.04", "1.02"),
+        "compensated": ("", ""),
+        "single_rate": ("", ""),
+        "bicycle": ("1.07-1.10", "1.07-1.10"),
+        "ignored": ("1.5-1.6", "1.5-1.6"),
+        "assumed": ("", "1.3-1.4"),
+    }
+    variants = {
+        "ignored": MATCHED.model_copy(update={"camera_delay_s": 0.0}),
+        "assumed": MATCHED.model_copy(update={"camera_delay_s": 0.033}),
+    }
+    for column, delays in enumerate(((0.033,), PATTERN_S)):
+        title = "33 ms" if column == 0 else "20, 15, 10, 25 ms"
+        drives = _drives(car, Scene(25 * KMH, 8.0, 0.1, 0.5, delays), MATCHED, seeds)
+        exact = outcome("clones", car, MATCHED, drives, with_nees=True)
+        report(seeds)
+        key = "constant" if column == 0 else "pattern"
+        figures |= {f"{key}_nees": exact.nees, f"{key}_rmse_over_sd": exact.rmse_rad / exact.sd_rad}
+        lines.append(Line(f"{title}: exact, NEES a state", f"{exact.nees:.3f}", "1", ""))
+        lines.append(
+            Line(f"{title}: exact, RMSE / own sd", f"{exact.rmse_rad / exact.sd_rad:.3f}", "1", "")
+        )
+        for name, texts in expected.items():
+            if name == "assumed" and column == 0:
+                continue
+            config = variants.get(name, MATCHED)
+            made = "multi_rate" if name in variants else name
+            ratio = outcome(made, car, config, drives).rmse_rad / exact.rmse_rad
+            report(seeds)
+            figures[f"{key}_{name}"] = ratio
+            claim = "fails" if name == "assumed" else "best" if name == "uneven_delay" else ""
+            lines.append(Line(f"{title}: {name} / exact", f"{ratio:.3f}", texts[column], claim))
+        if column == 1:
+            names = {
+                "clones": "exact",
+                "uneven_delay": "W13 corrected",
+                "multi_rate": "33 ms assumed",
+            }
+            curves = sideslip_curves(names, car, MATCHED, drives[0])
+    remarks = (
+        "Printed W13 stores the a-priori state; with a delay of one frame it diverges.",
+        "Judged with matched noise: plant and filters share model and noise.",
+    )
+    return Study("W13", "Uneven delays", tuple(lines), curves, remarks, figures)
+
+
+def n13(
+    car: Car, seeds: int = 10, report: Report = lambda _n: None, duration_s: float = 15.0
+) -> Study:
+    """GPS at 5 Hz, 100 ms late, 29 km/h, 7000 real against 10 000 nominal N/rad."""
+    real, nominal = GPS_STIFFNESS_NPRAD
+    plant = replace(car, front_stiffness_nprad=real, rear_stiffness_nprad=real)
+    model = replace(car, front_stiffness_nprad=nominal, rear_stiffness_nprad=nominal)
+    scene = Scene(29 * KMH, duration_s, 0.06, 0.2, (0.1,), 0.2, model_noise=False)
+    drives = [
+        drive_with_gps(
+            plant,
+            scene,
+            GPS_NOISE,
+            np.random.default_rng(seed),
+            roll_rad_per_mps2=ROLL_RAD_PER_MPS2,
+            acceleration_bias_mps2=ACCELERATION_BIAS_MPS2,
+        )
+        for seed in range(seeds)
+    ]
+    base, lines, figures = outcome("linear_observer", model, GPS_NOISE, drives), [], {}
+    report(seeds)
+    lines.append(Line("linear observer, RMSE rad", f"{base.rmse_rad:.4f}", "0.0060", "sensitive"))
+    for name, text, claim in (
+        ("bicycle", "1.10", ""),
+        ("two_layer", "0.58", "exact delay"),
+        ("two_layer_reconstructed", "0.83", "proposed: much smaller"),
+        ("two_layer_ignored", "2.8", ""),
+    ):
+        ratio = outcome(name, model, GPS_NOISE, drives).rmse_rad / base.rmse_rad
+        figures[name] = ratio
+        lines.append(Line(f"{name} / linear observer", f"{ratio:.3f}", text, claim))
+        report(seeds)
+    speeds = {n: _lateral_speed_rmse(n, model, drives) for n in ("kinematic", "two_layer")}
+    figures["lateral_speed"] = speeds["two_layer"] / speeds["kinematic"]
+    report(2 * seeds)
+    for name, value in speeds.items():
+        text = "0.42" if name == "kinematic" else "0.047"
+        lines.append(Line(f"lateral velocity, {name}, m/s", f"{value:.3f}", text, ""))
+    lines.append(
+        Line("lateral velocity, layer 2 / kinematic", f"{figures['lateral_speed']:.3f}", "0.11", "")
+    )
+    remarks = (
+        f"Body roll {ROLL_RAD_PER_MPS2} rad per m/s^2 and {ACCELERATION_BIAS_MPS2} m/s^2 of bias "
+        "disturb the accelerometers; course noise 0.003 rad (RTK receiver).",
+        "Disturbances leak: as printed (random walks) they are not observable.",
+    )
+    names = {
+        "linear_observer": "linear observer",
+        "two_layer": "layer 1, exact delay",
+        "two_layer_reconstructed": "layer 1, reconstruction",
+    }
+    curves = sideslip_curves(names, model, GPS_NOISE, drives[0])
+    return Study("N13", "GPS in two layers", tuple(lines), curves, remarks, figures)
+
+
+def _lateral_speed_rmse(name: str, model: Car, drives: list[Simulated]) -> float:
+    errors = []
+    for drive in drives:
+        log: SignalLog = drive.log
+        played = play(make_estimator(name, model, GPS_NOISE), log, every=EVERY)
+        late = round(SETTLED_S / GPS_NOISE.step_s) // EVERY
+        errors.append((played.column("vy_mps") - log.columns["vy_mps"][::EVERY])[late:])
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _relative(
+    car: Car, drives: list[Simulated], rows: dict[str, tuple[str, str]], report: Report
+) -> tuple[list[Line], dict[str, float]]:
+    base = outcome("bicycle", car, MISMATCH, drives)
+    report(len(drives))
+    lines = [Line("bicycle, RMSE rad", f"{base.rmse_rad:.5f}", "", "cannot track")]
+    figures = {"bicycle_rmse_rad": base.rmse_rad}
+    for name, (expected, claim) in rows.items():
+        found = outcome(name, car, MISMATCH, drives)
+        figures[name] = found.rmse_rad / base.rmse_rad
+        text = f"{figures[name]:.3f} +- {found.spread_rad / base.rmse_rad:.3f}"
+        lines.append(Line(f"{name} / bicycle", text, expected, claim))
+        report(len(drives))
+    return lines, figures
+
+
+STUDIES: dict[str, tuple[Callable[..., Study], int]] = {
+    "W12": (w12, 10),
+    "W14": (w14, 10),
+    "W13": (w13, 20),
+    "N13": (n13, 10),
+}
+"""By name: the study and the seeds it takes by default."""

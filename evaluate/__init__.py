@@ -1,0 +1,1 @@
+"""Trajectories, errors, passes, repeatability and detection scoring; no command line."""

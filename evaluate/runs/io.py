@@ -1,0 +1,220 @@
+"""Run folders as `polemap localize` writes them: one run, or a Monte Carlo set of them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from polemap.drivelog.errors import InputError
+from polemap.evaluation.trajectory import Trajectory, read_tum
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One localized replay.
+
+    Attributes:
+        health: columns of health.csv; numbers as arrays, the rest as lists of text.
+        timings: columns of timing.csv (milliseconds per update) where the run kept them.
+        metrics: content of metrics.json.
+    """
+
+    seed: int
+    pf: Trajectory
+    kf: Trajectory
+    health: Mapping[str, Floats | list[str]]
+    timings: Mapping[str, Floats]
+    metrics: Mapping[str, Any]
+    folder: Path | None = None
+
+    def output_covariance(self) -> tuple[Floats, Floats] | None:
+        """Stamps `(n,)` and covariances `(n, 3, 3)` of the output filter, where the run kept them.
+
+        Raises:
+            InputError: output.csv is there but damaged.
+        """
+        if self.folder is None or not (self.folder / "output.csv").is_file():
+            return None
+        table = _read_table(self.folder / "output.csv")
+        names = ("stamp_s", "var_east_m2", "var_north_m2", "cov_east_north_m2", "var_yaw_rad2")
+        columns = [column for column in map(table.get, names) if isinstance(column, np.ndarray)]
+        if len(columns) != len(names):
+            return None
+        covariance = np.zeros((len(columns[0]), 3, 3))
+        covariance[:, 0, 0], covariance[:, 1, 1] = columns[1], columns[2]
+        covariance[:, 0, 1] = covariance[:, 1, 0] = columns[3]
+        covariance[:, 2, 2] = columns[4]
+        return columns[0], covariance
+
+    def health_numbers(self, *names: str) -> Floats | None:
+        """The first of the columns that exists and holds numbers."""
+        for name in names:
+            column = self.health.get(name)
+            if isinstance(column, np.ndarray):
+                return column
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class RunSet:
+    """All runs of one `polemap localize` call: the same drive, map and settings, several seeds."""
+
+    path: Path
+    config: Mapping[str, Any]
+    runs: tuple[Run, ...]
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def name(self) -> str:
+        """The folder's name, which is what the user calls this run."""
+        return self.path.resolve().name
+
+    @property
+    def drive(self) -> Path | None:
+        """Where the drive stood, if the run says so."""
+        return self._path("drive")
+
+    @property
+    def map(self) -> Path | None:
+        """Where the map stood, if the run says so."""
+        return self._path("map")
+
+    @property
+    def lap(self) -> str | None:
+        """The row of laps.csv that the run was restricted to."""
+        lap = self.config.get("lap")
+        return None if lap is None else str(lap)
+
+    def _path(self, key: str) -> Path | None:
+        """A path as the run wrote it, or seen from a folder above the run where it was relative."""
+        value = self.config.get(key)
+        if not value:
+            return None
+        path = Path(str(value))
+        if path.is_absolute() or path.exists():
+            return path
+        above = (parent / path for parent in self.path.resolve().parents)
+        return next((place for place in above if place.exists()), path)
+
+
+def read_run_set(path: Path) -> RunSet:
+    """Read a run folder, or a folder of runs 000, 001, ... .
+
+    Raises:
+        InputError: neither of them, or one of its files is missing or damaged.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such run folder; 'polemap localize ... --out RUN' writes one")
+    folders = sorted(
+        (child for child in path.iterdir() if child.is_dir() and child.name.isdigit()),
+        key=lambda child: int(child.name),
+    )
+    if not folders:
+        if not (path / "kf.tum").is_file():
+            raise InputError(
+                f"{path}: is not a run folder (it has neither kf.tum nor runs 000, 001, ...); "
+                "'polemap localize ... --out RUN' writes one"
+            )
+        folders = [path]
+    configs = [_read_config(folder / "config.yaml") for folder in folders]
+    runs = [
+        _read_run(folder, config, number)
+        for number, (folder, config) in enumerate(zip(folders, configs, strict=True))
+    ]
+    notes = _differences(path, configs)
+    return RunSet(path, configs[0], tuple(runs), notes)
+
+
+def _read_run(folder: Path, config: Mapping[str, Any], number: int) -> Run:
+    seed = config.get("seed", number)
+    if not isinstance(seed, int):
+        raise InputError(f"{folder / 'config.yaml'}: seed = {seed!r} is not a whole number")
+    timing = folder / "timing.csv"
+    return Run(
+        seed=seed,
+        pf=read_tum(folder / "pf.tum"),
+        kf=read_tum(folder / "kf.tum"),
+        health=_read_table(folder / "health.csv"),
+        timings={
+            key: column
+            for key, column in (_read_table(timing) if timing.is_file() else {}).items()
+            if isinstance(column, np.ndarray)
+        },
+        metrics=_read_metrics(folder / "metrics.json"),
+        folder=folder,
+    )
+
+
+def _differences(path: Path, configs: list[Mapping[str, Any]]) -> tuple[str, ...]:
+    """A set whose runs differ in more than the seed is no Monte Carlo set: say so."""
+    first = {key: value for key, value in configs[0].items() if key != "seed"}
+    for number, config in enumerate(configs[1:], start=1):
+        rest = {key: value for key, value in config.items() if key != "seed"}
+        if rest != first:
+            keys = sorted(k for k in first.keys() | rest.keys() if first.get(k) != rest.get(k))
+            return (f"{path.name}: run {number} differs from run 0 in {', '.join(keys)}",)
+    return ()
+
+
+def _read_config(path: Path) -> Mapping[str, Any]:
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: missing; is this a folder of 'polemap localize'?") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: cannot be read as YAML ({_short(error)})") from None
+    if not isinstance(tree, dict):
+        raise InputError(f"{path}: expected settings, found {type(tree).__name__}")
+    return tree
+
+
+def _read_metrics(path: Path) -> Mapping[str, Any]:
+    try:
+        metrics = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: missing; is this a folder of 'polemap localize'?") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON ({_short(error)})") from None
+    if not isinstance(metrics, dict):
+        raise InputError(f"{path}: expected an object, found {type(metrics).__name__}")
+    return metrics
+
+
+def _read_table(path: Path) -> dict[str, Floats | list[str]]:
+    """A CSV file by columns; a column of numbers (or empty cells) becomes an array."""
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.reader(stream))
+    except FileNotFoundError:
+        raise InputError(f"{path}: missing; is this a folder of 'polemap localize'?") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as CSV ({_short(error)})") from None
+    if not rows:
+        raise InputError(f"{path}: is empty, a header line was expected")
+    header, body = rows[0], [row for row in rows[1:] if row]
+    for number, row in enumerate(body, start=2):
+        if len(row) != len(header):
+            raise InputError(f"{path}:{number}: {len(row)} cells, the header has {len(header)}")
+    return {name: _column([row[i] for row in body]) for i, name in enumerate(header)}
+
+
+def _column(cells: list[str]) -> Floats | list[str]:
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in cells], dtype=np.float64)
+    except ValueError:
+        return cells
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]

@@ -1,0 +1,1 @@
+"""What fixes say: of a place, a heading, an error."""

@@ -1,0 +1,101 @@
+"""A first pose from GNSS: the heading shows once the car has driven some way."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import atan2, cos, hypot, pi, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.localize.output_filter.ctrv_kernel import step, wrap
+from polemap.localize.output_filter.state import Pose, PoseUpper
+
+Floats = NDArray[np.float64]
+
+
+class GnssStart:
+    """Fits the dead-reckoned path to the fixes along it: position and heading, rigidly.
+
+    Args:
+        antenna_m: `(2,)` antenna in the vehicle frame.
+        yaw_sd_max_rad: how well the heading must be known.
+        window: fixes that are kept; older ones have drifted.
+    """
+
+    def __init__(self, antenna_m: Floats, yaw_sd_max_rad: float, window: int = 40) -> None:
+        self._antenna = (float(antenna_m[0]), float(antenna_m[1]))
+        self._yaw_sd_max = yaw_sd_max_rad
+        self._pairs: deque[tuple[float, float, float, float, float]] = deque(maxlen=window)
+        self._reckoned = (0.0, 0.0, 0.0)
+        self._last: tuple[float, float, float] | None = None
+
+    def odometry(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> None:
+        """Move the dead-reckoned pose on to the sample; late samples are left out."""
+        if self._last is None or stamp_s > self._last[0]:
+            self._move_to(stamp_s)
+            self._last = (stamp_s, speed_mps, yaw_rate_radps)
+
+    def _move_to(self, stamp_s: float) -> None:
+        if self._last is None:
+            return
+        before, speed, rate = self._last
+        dt = stamp_s - before
+        if dt > 0.0:
+            x, y, yaw = step(self._reckoned, speed, rate, dt)
+            self._reckoned = (x, y, yaw)
+            self._last = (stamp_s, speed, rate)
+
+    def fix(
+        self, stamp_s: float, east_m: float, north_m: float, sd_m: float
+    ) -> tuple[Pose, PoseUpper] | None:
+        """Pose and packed covariance at the fix, once its heading is known."""
+        if self._last is None:
+            return None
+        self._move_to(stamp_s)
+        x, y, yaw = self._reckoned
+        c, s = cos(yaw), sin(yaw)
+        ax, ay = self._antenna
+        self._pairs.append((x + c * ax - s * ay, y + s * ax + c * ay, east_m, north_m, sd_m))
+        if len(self._pairs) < 3:
+            return None
+        return self._fit()
+
+    def _fit(self) -> tuple[Pose, PoseUpper] | None:
+        table = np.array(self._pairs)
+        weight = 1.0 / table[:, 4] ** 2
+        # a fix far from the others' common motion would turn the path: one pass of reweighting
+        for _ in range(3):
+            local, fixed, rotation = self._align(table, weight)
+            c, s = cos(rotation), sin(rotation)
+            turned = local @ np.array([[c, s], [-s, c]])
+            misfit = np.hypot(*(fixed - turned).T) / table[:, 4]
+            weight = 1.0 / (table[:, 4] ** 2 * (1.0 + (misfit / 3.0) ** 2))
+        total = weight.sum()
+        lever = float((weight * (local**2).sum(axis=1)).sum())
+        yaw_sd = 1.0 / sqrt(lever) if lever > 0.0 else float("inf")
+        if yaw_sd > self._yaw_sd_max:
+            return None
+        centre_local = (weight[:, None] * table[:, :2]).sum(axis=0) / total
+        centre_fixed = (weight[:, None] * table[:, 2:4]).sum(axis=0) / total
+        x, y, yaw = self._reckoned
+        dx, dy = x - centre_local[0], y - centre_local[1]
+        c, s = cos(rotation), sin(rotation)
+        pose = (
+            float(centre_fixed[0] + c * dx - s * dy),
+            float(centre_fixed[1] + s * dx + c * dy),
+            wrap(yaw + rotation),
+        )
+        arm = hypot(dx, dy)
+        # errors of neighbouring fixes are alike: the mean is no better than one of them
+        position = float(np.median(table[:, 4])) ** 2 + (arm * yaw_sd) ** 2
+        return pose, (position, 0.0, 0.0, position, 0.0, yaw_sd**2)
+
+    @staticmethod
+    def _align(table: Floats, weight: Floats) -> tuple[Floats, Floats, float]:
+        total = weight.sum()
+        local = table[:, :2] - (weight[:, None] * table[:, :2]).sum(axis=0) / total
+        fixed = table[:, 2:4] - (weight[:, None] * table[:, 2:4]).sum(axis=0) / total
+        cross = (weight * (local[:, 0] * fixed[:, 1] - local[:, 1] * fixed[:, 0])).sum()
+        dot = (weight * (local * fixed).sum(axis=1)).sum()
+        return local, fixed, (atan2(cross, dot) + pi) % (2.0 * pi) - pi

@@ -1,0 +1,114 @@
+"""The pose that goes out: never moves further in a tick than a car can, unless it says so.
+
+The filter's pose steps when a late pose corrects it. Between two ticks the output moves as the
+filter's speed and yaw rate say and approaches the filter's pose at a bounded rate; what is
+outstanding is added to its covariance, so that it stays honest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.output_filter.ctrv_kernel import step, unpack, wrap
+from polemap.localize.output_filter.state import FilterState, Pose
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class OutputPose:
+    """The localizer's answer for one moment.
+
+    Attributes:
+        pose: east, north, yaw of the rear axle.
+        covariance: `(3, 3)`.
+        flag: "" in normal operation, "started" or "reinitialized" where the pose may have jumped.
+        jump_m: how far the position was moved at the flag.
+        pose_age_s: time since the last pole-based pose that was taken in, infinite before any.
+    """
+
+    stamp_s: float
+    pose: Pose
+    covariance: Floats
+    speed_mps: float
+    yaw_rate_radps: float
+    flag: str
+    jump_m: float
+    pose_age_s: float
+
+
+class OutputLimiter:
+    """Turns the filter's states at rising stamps into the output."""
+
+    def __init__(self, config: OutputConfig) -> None:
+        self._config = config
+        self._last: tuple[float, Pose] | None = None
+        self._jumps = 0
+
+    @property
+    def last_stamp_s(self) -> float:
+        """Stamp of the last output, minus infinity before any."""
+        return self._last[0] if self._last else float("-inf")
+
+    def next(self, state: FilterState) -> OutputPose:
+        """The output for `state`, the filter's prediction to a stamp after the last one."""
+        x, y, yaw = state.mean[:3]
+        counts = state.counts
+        jumps = counts.reinitializations + counts.takeovers + counts.gnss_restarts
+        flag, jump = "", 0.0
+        if self._last is None:
+            pose, flag = (x, y, yaw), "started"
+        elif jumps != self._jumps:
+            pose, flag = (x, y, yaw), "reinitialized"
+            moved = self._carried(state)
+            jump = hypot(x - moved[0], y - moved[1])
+        else:
+            pose = self._approach(state)
+        self._jumps = jumps
+        self._last = (state.stamp_s, pose)
+        return self._answer(state, pose, flag, jump)
+
+    def unlimited(self, state: FilterState) -> OutputPose:
+        """The filter's own pose; does not touch the limiter."""
+        x, y, yaw = state.mean[:3]
+        return self._answer(state, (x, y, yaw), "", 0.0)
+
+    def _carried(self, state: FilterState) -> Pose:
+        """The last output moved on by the filter's speed and yaw rate."""
+        stamp, pose = self._last or (state.stamp_s, (0.0, 0.0, 0.0))
+        dt = state.stamp_s - stamp
+        x, y, yaw = step(pose, state.mean[3], state.mean[4], dt, state.slip_rad_per_mps2)
+        return x, y, yaw
+
+    def _approach(self, state: FilterState) -> Pose:
+        x, y, yaw = self._carried(state)
+        dt = state.stamp_s - self.last_stamp_s
+        dx, dy = state.mean[0] - x, state.mean[1] - y
+        dyaw = wrap(state.mean[2] - yaw)
+        distance, reach = hypot(dx, dy), self._config.correction_mps * dt
+        share = 1.0 if distance <= reach else reach / distance
+        turn = self._config.correction_radps * dt
+        return (x + share * dx, y + share * dy, wrap(yaw + min(max(dyaw, -turn), turn)))
+
+    def _answer(self, state: FilterState, pose: Pose, flag: str, jump_m: float) -> OutputPose:
+        covariance = unpack(state.upper)[:3, :3].copy()
+        rest = np.array(
+            [state.mean[0] - pose[0], state.mean[1] - pose[1], wrap(state.mean[2] - pose[2])]
+        )
+        if rest.any():
+            covariance += np.outer(rest, rest)
+        return OutputPose(
+            state.stamp_s,
+            pose,
+            covariance,
+            state.mean[3],
+            state.mean[4],
+            flag,
+            jump_m,
+            state.stamp_s - state.last_pose_s,
+        )

@@ -1,0 +1,102 @@
+"""What the output filter knows at one moment, and what it is told."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from polemap.localize.output_filter.ctrv_kernel import Mean, Upper
+
+Pose = tuple[float, float, float]
+# upper triangle of a pose's 3x3 covariance, row by row
+PoseUpper = tuple[float, float, float, float, float, float]
+
+
+class OdometryEvent(NamedTuple):
+    speed_mps: float
+    yaw_rate_radps: float
+
+
+class PoseEvent(NamedTuple):
+    """A pose of the particle filter that was offered, with its covariance `(3, 3)` packed, and
+    what it holds the slip of the rear axle for."""
+
+    pose: Pose
+    upper: PoseUpper
+    slip_rad_per_mps2: float = 0.0
+
+
+class GnssEvent(NamedTuple):
+    """An antenna position and its standard deviation."""
+
+    east_m: float
+    north_m: float
+    sd_m: float
+
+
+class RestartEvent(NamedTuple):
+    """A pose that the last fixes agree on, while the filter disagrees with them for long."""
+
+    pose: Pose
+    upper: PoseUpper
+
+
+Event = OdometryEvent | PoseEvent | GnssEvent | RestartEvent
+
+
+class Counts(NamedTuple):
+    """Decisions so far; part of the state, so that a replay corrects them too."""
+
+    poses_accepted: int = 0
+    gate_rejections: int = 0
+    inflations: int = 0
+    incoherent: int = 0
+    reinitializations: int = 0
+    takeovers: int = 0
+    gnss_vetoes: int = 0
+    odometry_rejections: int = 0
+    gnss_accepted: int = 0
+    gnss_rejections: int = 0
+    gnss_restarts: int = 0
+
+
+class Rival(NamedTuple):
+    """What the rejected poses say, kept as the first of them and where the filter was then.
+
+    If both are led on by the same odometry, the rival is the first rejected pose moved as the
+    filter has moved since. `evidence` is the sum over `fixes` GNSS fixes of how much better
+    (log-likelihood) the filter explains the fix than the rival does.
+    """
+
+    since_s: float
+    pose: Pose
+    filter_pose: Pose
+    fixes: int = 0
+    evidence: float = 0.0
+
+
+class FilterState(NamedTuple):
+    """Immutable, so that replay can go back to it.
+
+    Attributes:
+        mean: east, north, yaw, speed, yaw rate of the rear axle; relative error of the odometry's
+            speed, offset of its yaw rate.
+        upper: upper triangle of the covariance.
+        odometry_rejected: samples in a row.
+        gnss_rejected_since_s: since when all fixes have failed, infinite if they do not.
+        decision: what became of the last pose.
+        nis: its squared Mahalanobis distance.
+        slip_rad_per_mps2: outward slip of the rear axle per lateral acceleration.
+    """
+
+    stamp_s: float
+    mean: Mean
+    upper: Upper
+    counts: Counts = Counts()
+    rival: Rival | None = None
+    last_pose_s: float = float("-inf")
+    last_gnss_s: float = float("-inf")
+    odometry_rejected: int = 0
+    gnss_rejected_since_s: float = float("inf")
+    decision: str = ""
+    nis: float = float("nan")
+    slip_rad_per_mps2: float = 0.0

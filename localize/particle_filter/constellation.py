@@ -1,0 +1,298 @@
+"""Global re-localization: the poles around the car, found again as a constellation of the map.
+
+Two poles at a known distance fix a pose up to the pairs of the map at that distance; each such
+pose is judged by how many of the other poles then stand on map poles.
+
+Source: the idea of matching local pole patterns is Brenner's (2009); the search is our own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from polemap.drivelog.samples import PoleScan
+from polemap.map.landmark_map import PoleMap
+from polemap.vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+
+_PAIR_SHORTEST_M = 3.0
+_PAIR_LONGEST_M = 30.0
+_MOST_PAIRS = 12
+_MOST_CANDIDATES = 6000
+_MERGE_M = 0.8
+_FORGET_M = 45.0
+_FORGET_S = 20.0
+_MOST_POLES = 40
+_PUSH_INTERVAL_S = 0.15  # a tenth of the scans of a camera holds the same poles
+_SAME_M = 1.5
+_SAME_RAD = 0.15
+
+LOG_ODDS_A_POLE = 1.5
+"""What one more pole that fits says for a pose."""
+
+
+Against = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Poses `(k, 3)` of the rear axle, best first, with the number of poles that each explains.
+
+    `score` is the sum over these poles of how well they fit, 0 to 1 each, less what else speaks
+    against the pose.
+    """
+
+    poses: Floats
+    matched: NDArray[np.int64]
+    score: Floats
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def at(self, pose: Floats) -> NDArray[np.bool_]:
+        """Which of them `(k,)` are nearly the pose `(3,)`."""
+        return _same(self.poses, pose)
+
+
+class PoleMemory:
+    """The poles of the last metres in the dead-reckoning frame: more than one scan shows."""
+
+    def __init__(self) -> None:
+        self._points = np.empty((0, 2))
+        self._seen = np.empty(0, dtype=np.int64)
+        self._last_m = np.empty(0)
+        self._last_s = np.empty(0)
+        self._pushed_s = -np.inf
+
+    def push(self, scan: PoleScan, reckoned: Floats, travelled_m: float) -> None:
+        """Add a scan taken at the dead-reckoned rear-axle pose `(3,)`."""
+        if scan.stamp_s - self._pushed_s < _PUSH_INTERVAL_S:
+            return
+        self._pushed_s = scan.stamp_s
+        keep = (self._last_m > travelled_m - _FORGET_M) & (self._last_s > scan.stamp_s - _FORGET_S)
+        self._take(keep)
+        c, s = np.cos(reckoned[2]), np.sin(reckoned[2])
+        rotation = np.array([[c, -s], [s, c]])
+        for point in scan.points_vehicle_m.reshape(-1, 2) @ rotation.T + reckoned[:2]:
+            self._merge(point, travelled_m, scan.stamp_s)
+        if len(self._points) > _MOST_POLES:
+            recent = np.argsort(-self._last_s, kind="stable")[:_MOST_POLES]
+            self._take(np.sort(recent))
+
+    def _take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
+        self._points, self._seen = self._points[rows], self._seen[rows]
+        self._last_m, self._last_s = self._last_m[rows], self._last_s[rows]
+
+    def _merge(self, point: Floats, travelled_m: float, stamp_s: float) -> None:
+        if len(self._points):
+            distance = np.hypot(*(self._points - point).T)
+            nearest = int(np.argmin(distance))
+            if distance[nearest] < _MERGE_M:
+                # the newest sighting counts most: dead reckoning drifts under the old ones
+                self._points[nearest] += 0.4 * (point - self._points[nearest])
+                self._seen[nearest] += 1
+                self._last_m[nearest], self._last_s[nearest] = travelled_m, stamp_s
+                return
+        self._points = np.vstack([self._points, point])
+        self._seen = np.append(self._seen, 1)
+        self._last_m = np.append(self._last_m, travelled_m)
+        self._last_s = np.append(self._last_s, stamp_s)
+
+    def around(self, reckoned: Floats) -> Floats:
+        """The remembered poles `(k, 2)` in the vehicle frame of a dead-reckoned pose.
+
+        Poles that were seen once only are left out while enough others remain.
+        """
+        points = self._points[self._seen >= 2]
+        if len(points) < 4:
+            points = self._points
+        c, s = np.cos(reckoned[2]), np.sin(reckoned[2])
+        return np.asarray((points - reckoned[:2]) @ np.array([[c, -s], [s, c]]))
+
+    def forget(self) -> None:
+        """Start anew."""
+        self._take(np.zeros(len(self._points), dtype=np.bool_))
+
+
+class ConstellationIndex:
+    """All pairs of map poles that stand near each other, sorted by distance."""
+
+    def __init__(self, pole_map: PoleMap) -> None:
+        self._points = pole_map.points_m
+        self._tree = KDTree(self._points)
+        pairs = self._tree.query_pairs(_PAIR_LONGEST_M, output_type="ndarray")
+        length = np.hypot(*(self._points[pairs[:, 0]] - self._points[pairs[:, 1]]).T)
+        order = np.argsort(length, kind="stable")
+        order = order[length[order] >= _PAIR_SHORTEST_M]
+        self._pairs, self._length = pairs[order], length[order]
+
+    def find(
+        self,
+        points_vehicle_m: Floats,
+        *,
+        tolerance_m: float,
+        min_poles: int,
+        rng: np.random.Generator,
+        centre_m: Floats | None = None,
+        reach_m: float = np.inf,
+        against: Against | None = None,
+        most: int = 12,
+    ) -> Candidates:
+        """Poses from which the map looks like the given poles.
+
+        Args:
+            points_vehicle_m: `(k, 2)`.
+            tolerance_m: how far a pole may stand from its map pole.
+            min_poles: a pose that explains fewer is not returned.
+            rng: thins the candidates where a large map offers too many.
+            centre_m: `(2,)`, search only poses within `reach_m` of it.
+            against: what else speaks against poses, see `judge`.
+        """
+        points = np.asarray(points_vehicle_m, dtype=np.float64)
+        empty = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
+        if len(points) < min_poles or len(self._pairs) == 0:
+            return empty
+        poses = self._hypotheses(points, tolerance_m, rng, centre_m, reach_m)
+        if len(poses) == 0:
+            return empty
+        first = self.judge(poses, points, tolerance_m, against)
+        good = np.flatnonzero(first.matched >= min_poles)
+        order = good[np.argsort(-first.score[good], kind="stable")]
+        chosen = _distinct(poses, order, most)
+        refined = np.array([self._refined(poses[i], points, tolerance_m) for i in chosen])
+        if len(refined) == 0:
+            return empty
+        found = self.judge(refined, points, tolerance_m, against)
+        order = np.argsort(-found.score, kind="stable")
+        return Candidates(found.poses[order], found.matched[order], found.score[order])
+
+    def _hypotheses(
+        self,
+        points: Floats,
+        tolerance_m: float,
+        rng: np.random.Generator,
+        centre_m: Floats | None,
+        reach_m: float,
+    ) -> Floats:
+        a, b = np.triu_indices(len(points), 1)
+        baseline = np.hypot(*(points[a] - points[b]).T)
+        usable = np.flatnonzero((baseline >= _PAIR_SHORTEST_M) & (baseline <= _PAIR_LONGEST_M))
+        # long pairs give the best heading; but no pole may be in all of them
+        usable = usable[np.argsort(-baseline[usable], kind="stable")]
+        found: list[Floats] = []
+        for pair in _spread(a, b, usable, _MOST_PAIRS):
+            low, high = np.searchsorted(
+                self._length, [baseline[pair] - tolerance_m, baseline[pair] + tolerance_m]
+            )
+            ends = self._pairs[low:high]
+            if centre_m is not None and np.isfinite(reach_m):
+                offset = self._points[ends[:, 0]] - centre_m
+                ends = ends[np.hypot(*offset.T) < reach_m + _FORGET_M + _PAIR_LONGEST_M]
+            if len(ends) > 2 * _MOST_CANDIDATES:
+                ends = ends[np.sort(rng.choice(len(ends), 2 * _MOST_CANDIDATES, replace=False))]
+            both = np.vstack([ends, ends[:, ::-1]])
+            found.append(_align(points[a[pair]], points[b[pair]], self._points[both]))
+        poses = np.vstack(found) if found else np.empty((0, 3))
+        if centre_m is not None and np.isfinite(reach_m):
+            poses = poses[np.hypot(*(poses[:, :2] - centre_m).T) <= reach_m]
+        if len(poses) > _MOST_CANDIDATES:
+            poses = poses[np.sort(rng.choice(len(poses), _MOST_CANDIDATES, replace=False))]
+        return poses
+
+    def judge(
+        self, poses: Floats, points: Floats, tolerance_m: float, against: Against | None = None
+    ) -> Candidates:
+        """How many of the points `(k, 2)` in the vehicle frame each of the poses `(n, 3)` explains.
+
+        Args:
+            against: minus the log-likelihood `(n,)` that other senses give poses.
+        """
+        c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        east = poses[:, :1] + c * points[:, 0] - s * points[:, 1]
+        north = poses[:, 1:2] + s * points[:, 0] + c * points[:, 1]
+        distance, _ = self._nearest(np.stack([east, north], axis=-1), tolerance_m)
+        fit = np.where(distance < tolerance_m, 1.0 - (distance / tolerance_m) ** 2, 0.0)
+        score = fit.sum(axis=1)
+        if against is not None:
+            score = score - against(poses) / LOG_ODDS_A_POLE
+        return Candidates(poses, (distance < tolerance_m).sum(axis=1).astype(np.int64), score)
+
+    def _nearest(self, points: Floats, tolerance_m: float) -> tuple[Floats, NDArray[np.int64]]:
+        """Distance to and row of the nearest map pole; infinite beyond the tolerance."""
+        distance, row = self._tree.query(points, distance_upper_bound=tolerance_m)
+        return np.asarray(distance), np.asarray(row, dtype=np.int64)
+
+    def _refined(self, pose: Floats, points: Floats, tolerance_m: float) -> Floats:
+        """Least-squares pose over the poles that the candidate explains."""
+        for _ in range(3):
+            c, s = np.cos(pose[2]), np.sin(pose[2])
+            there = points @ np.array([[c, s], [-s, c]]) + pose[:2]
+            distance, row = self._nearest(there, tolerance_m)
+            near = distance < tolerance_m
+            if near.sum() < 2:
+                break
+            p, q = points[near], self._points[row[near]]
+            pm, qm = p.mean(axis=0), q.mean(axis=0)
+            p, q = p - pm, q - qm
+            yaw = np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum())
+            c, s = np.cos(yaw), np.sin(yaw)
+            shift = qm - np.array([c * pm[0] - s * pm[1], s * pm[0] + c * pm[1]])
+            pose = np.array([shift[0], shift[1], yaw])
+        return pose
+
+
+def _spread(
+    a: NDArray[np.int64], b: NDArray[np.int64], order: NDArray[np.int64], most: int
+) -> list[int]:
+    """The first `most` pairs in which no pole stands more than three times."""
+    uses: dict[int, int] = {}
+    chosen: list[int] = []
+    for pair in order:
+        i, j = int(a[pair]), int(b[pair])
+        if uses.get(i, 0) < 3 and uses.get(j, 0) < 3:
+            uses[i], uses[j] = uses.get(i, 0) + 1, uses.get(j, 0) + 1
+            chosen.append(int(pair))
+            if len(chosen) == most:
+                break
+    return chosen
+
+
+def _align(first: Floats, second: Floats, ends: Floats) -> Floats:
+    """Poses `(k, 3)` that put two vehicle points onto pairs of map points `(k, 2, 2)`."""
+    seen, mapped = second - first, ends[:, 1] - ends[:, 0]
+    yaw = wrap_angle(np.arctan2(mapped[:, 1], mapped[:, 0]) - np.arctan2(seen[1], seen[0]))
+    c, s = np.cos(yaw), np.sin(yaw)
+    middle = 0.5 * (first + second)
+    centre = ends.mean(axis=1)
+    return np.stack(
+        [
+            centre[:, 0] - c * middle[0] + s * middle[1],
+            centre[:, 1] - s * middle[0] - c * middle[1],
+            yaw,
+        ],
+        axis=1,
+    )
+
+
+def _distinct(poses: Floats, order: NDArray[np.int64], most: int) -> list[int]:
+    """Of the ordered poses the first `most` that are not nearly the same."""
+    chosen: list[int] = []
+    for i in order[:2000]:
+        if chosen and _same(poses[chosen], poses[i]).any():
+            continue
+        chosen.append(int(i))
+        if len(chosen) == most:
+            break
+    return chosen
+
+
+def _same(poses: Floats, pose: Floats) -> NDArray[np.bool_]:
+    offset = poses - pose
+    near = np.hypot(offset[:, 0], offset[:, 1]) < _SAME_M
+    return np.asarray(near & (np.abs(wrap_angle(offset[:, 2])) < _SAME_RAD))

@@ -1,0 +1,113 @@
+"""When to look elsewhere, and where: augmented Monte Carlo localization."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.gnss.alignment import GnssPose
+from polemap.localize.particle_filter.assignment import PoseLikelihoods
+from polemap.localize.particle_filter.constellation import LOG_ODDS_A_POLE, Candidates
+
+Floats = NDArray[np.float64]
+
+_FULL_WEIGHT_POLES = 4.0
+_CANDIDATE_SD_M = 0.25
+_CANDIDATE_SD_RAD = 0.02
+_CHANCE_SCORE = 1.5  # two poles of the street fit somewhere near
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How well a scan fits the cloud, 0 to 1, and how many matches were possible (its weight)."""
+
+    value: float
+    possible: float
+
+
+def normalized_quality(result: PoseLikelihoods, weights: Floats, seen: int) -> Quality:
+    """The k-th root of the likelihood of k matched poles, averaged over the particles.
+
+    The likelihood is taken relative to that of a perfect match, so that poles far away, which are
+    measured less sharply, do not look like a bad fit; and times the share of the possible matches
+    that exist, so that a single chance match does not look like a good one.
+
+    Source: Spangenberg (2016), section IV-C.
+    """
+    matched = result.matched
+    possible = np.maximum(np.minimum(result.expected, seen), matched)
+    share = matched / np.maximum(possible, 1.0)
+    value = weights @ (share * np.exp(result.log_fit / np.maximum(matched, 1)))
+    return Quality(float(value), float(weights @ possible))
+
+
+class LikelihoodAverages:
+    """Short- and long-term average of the quality; their ratio is the call for exploration.
+
+    Source: Thrun, Burgard, Fox (2005), table 8.3.
+    """
+
+    def __init__(self, config: LocalizeConfig) -> None:
+        self._config = config
+        self._short = self._long = 0.0
+        self._age_s = 0.0
+        self._last_s = -np.inf
+
+    def update(self, stamp_s: float, quality: Quality) -> None:
+        """Take in the quality of one scan; one that could match little counts little."""
+        elapsed = min(stamp_s - self._last_s, self._config.likelihood_short_s)
+        self._last_s = stamp_s
+        # an average over what there was so far, until it has the length it should have
+        elapsed *= min(quality.possible / _FULL_WEIGHT_POLES, 1.0)
+        if elapsed <= 0.0:
+            return
+        self._age_s += elapsed
+        for_short = min(self._config.likelihood_short_s, self._age_s)
+        for_long = min(self._config.likelihood_long_s, self._age_s)
+        self._short += -np.expm1(-elapsed / for_short) * (quality.value - self._short)
+        self._long += -np.expm1(-elapsed / for_long) * (quality.value - self._long)
+
+    @property
+    def share(self) -> float:
+        """Share of the particles that should be drawn anew, 0 to `explore_share_max`."""
+        if self._age_s < self._config.likelihood_short_s or self._long <= 0.0:
+            return 0.0
+        missing = 1.0 - self._short / (self._config.explore_margin * self._long)
+        return float(np.clip(missing, 0.0, self._config.explore_share_max))
+
+    def reset(self) -> None:
+        """Forget both."""
+        self._short = self._long = self._age_s = 0.0
+
+
+def draw_poses(
+    count: int,
+    gnss: GnssPose | None,
+    candidates: Candidates,
+    rng: np.random.Generator,
+    *,
+    candidate_share: float = 0.8,
+) -> Floats:
+    """Rear-axle poses `(count, 3)` from where the car may be; fewer (or none) if nothing is known.
+
+    Constellation matches are drawn by their score, the rest around GNSS. `candidate_share` at most
+    are matches, and less where the best of them is no better than chance.
+    """
+    from_candidates = 0
+    if len(candidates):
+        odds = np.exp(LOG_ODDS_A_POLE * (candidates.score - candidates.score.max()))
+        chance = np.exp(LOG_ODDS_A_POLE * (_CHANCE_SCORE - candidates.score.max()))
+        share = min(candidate_share, float(odds.sum() / (odds.sum() + chance)))
+        from_candidates = count if gnss is None else round(share * count)
+    parts = [np.empty((0, 3))]
+    if from_candidates:
+        chosen = rng.choice(len(candidates), size=from_candidates, p=odds / odds.sum())
+        spread = np.array([_CANDIDATE_SD_M, _CANDIDATE_SD_M, _CANDIDATE_SD_RAD])
+        noise = rng.standard_normal((from_candidates, 3)) * spread
+        parts.append(candidates.poses[chosen] + noise)
+    if gnss is not None and count > from_candidates:
+        parts.append(gnss.sample(count - from_candidates, rng))
+    return np.vstack(parts)

@@ -1,0 +1,135 @@
+"""The cloud of particles: mean, covariance and modes of weighted poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.localize.config import LocalizeConfig
+from polemap.vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One cluster of the cloud: its share of the weight, mean `(3,)` and covariance `(3, 3)`."""
+
+    share: float
+    mean: Floats
+    covariance: Floats
+
+
+def normalized(log_weights: Floats) -> tuple[Floats, float]:
+    """Weights `(n,)` that sum to one, and the log of the sum that they had.
+
+    If no particle has any weight left they all get the same.
+    """
+    top = float(np.max(log_weights))
+    if not np.isfinite(top):
+        return np.full(len(log_weights), 1.0 / len(log_weights)), -np.inf
+    weights = np.exp(log_weights - top)
+    total = float(weights.sum())
+    return weights / total, top + float(np.log(total))
+
+
+def log_mean(log_values: Floats, weights: Floats) -> float:
+    """Log of the weighted mean of values `(n,)` that are given by their logs."""
+    top = float(np.max(log_values))
+    if not np.isfinite(top):
+        return -np.inf
+    return top + float(np.log(weights @ np.exp(log_values - top)))
+
+
+def effective_count(weights: Floats) -> float:
+    """N_eff, the number of equally weighted particles that would be worth as much."""
+    return float(1.0 / np.dot(weights, weights))
+
+
+def mean_and_covariance(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Weighted mean `(3,)`, with the circular mean of the yaw, and covariance `(3, 3)`."""
+    yaw = poses[:, 2]
+    centre = np.empty(3)
+    # about the first pose, so that 1e6 m of northing cost no digits
+    centre[:2] = poses[0, :2] + weights @ (poses[:, :2] - poses[0, :2])
+    centre[2] = np.arctan2(weights @ np.sin(yaw), weights @ np.cos(yaw))
+    deviation = poses - centre
+    deviation[:, 2] = wrap_angle(deviation[:, 2])
+    return centre, (deviation * weights[:, np.newaxis]).T @ deviation
+
+
+def position_sd(covariance: Floats) -> tuple[float, float]:
+    """Standard deviations in metres along the major and the minor axis of the position ellipse."""
+    half_trace = 0.5 * (covariance[0, 0] + covariance[1, 1])
+    root = np.hypot(0.5 * (covariance[0, 0] - covariance[1, 1]), covariance[0, 1])
+    return float(np.sqrt(half_trace + root)), float(np.sqrt(max(half_trace - root, 0.0)))
+
+
+def find_modes(
+    poses: Floats,
+    weights: Floats,
+    *,
+    radius_m: float,
+    radius_rad: float,
+    share_min: float,
+    most: int = 6,
+) -> list[Mode]:
+    """Clusters of the cloud, heaviest first; those below `share_min` are left out.
+
+    The cloud is cut into cells of the radius; the heaviest cell starts a cluster, which then moves
+    to the mean of all poses within the radius until it rests (mean shift with a flat kernel).
+    What it holds is taken away and the search goes on.
+    """
+    left = np.ones(len(poses), dtype=np.bool_)
+    modes: list[Mode] = []
+    for _ in range(most):
+        if float(weights[left].sum()) < share_min:
+            break
+        members = _cluster(poses, np.where(left, weights, 0.0), radius_m, radius_rad) & left
+        share = float(weights[members].sum())
+        if share <= 0.0:
+            break
+        left &= ~members
+        if share >= share_min:
+            mean, covariance = mean_and_covariance(poses[members], weights[members] / share)
+            modes.append(Mode(share, mean, covariance))
+    return sorted(modes, key=lambda mode: -mode.share)
+
+
+def modes_of(
+    rear: Floats, weights: Floats, mean: Floats, covariance: Floats, config: LocalizeConfig
+) -> list[Mode]:
+    """The modes of a cloud with known mean and covariance; a narrow one needs no search."""
+    major, _ = position_sd(covariance)
+    narrow_m, narrow_rad = 0.4 * config.mode_radius_m, 0.4 * config.mode_radius_rad
+    if major < narrow_m and covariance[2, 2] < narrow_rad**2:
+        return [Mode(1.0, mean, covariance)]
+    return find_modes(
+        rear,
+        weights,
+        radius_m=config.mode_radius_m,
+        radius_rad=config.mode_radius_rad,
+        share_min=config.mode_share_min,
+    )
+
+
+def _cluster(
+    poses: Floats, weights: Floats, radius_m: float, radius_rad: float
+) -> NDArray[np.bool_]:
+    scale = np.array([radius_m, radius_m, radius_rad])
+    cells = np.floor((poses - poses[0]) / scale).astype(np.int64)
+    _, label = np.unique(cells, axis=0, return_inverse=True)
+    heaviest = np.argmax(np.bincount(label.ravel(), weights=weights))
+    members = label.ravel() == heaviest
+    for _ in range(10):
+        inside = np.where(members, weights, 0.0)
+        mean, _ = mean_and_covariance(poses, inside / inside.sum())
+        offset = poses - mean
+        offset[:, 2] = wrap_angle(offset[:, 2])
+        grown = np.sum((offset / scale) ** 2, axis=1) <= 1.0
+        if not (grown & (weights > 0)).any() or np.array_equal(grown, members):
+            break
+        members = grown
+    return np.asarray(members)

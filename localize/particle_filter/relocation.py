@@ -1,0 +1,171 @@
+"""Where the car may be when the particles do not know: GNSS and constellations of poles."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.samples import GnssFix, PoleScan
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
+from polemap.localize.particle_filter.constellation import (
+    Against,
+    Candidates,
+    ConstellationIndex,
+    PoleMemory,
+)
+from polemap.localize.particle_filter.exploration import draw_poses
+from polemap.localize.particle_filter.particles import position_sd
+from polemap.map.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+Verdict = Literal["confirmed", "contradicted", "open"]
+
+_MARGIN = 1.5  # by so many poles another place must explain less
+_STANDING_M = 0.2
+_NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
+
+
+class Relocation:
+    """Follows GNSS and the poles of the last metres, and draws poses from both on demand."""
+
+    def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
+        self._config = config
+        self._alignment = GnssAlignment(config)
+        self._memory = PoleMemory()
+        self._index = ConstellationIndex(pole_map)
+        self._searched_s = -np.inf
+        self._searched_at_m = np.zeros(2)
+        self._waited_s = 0.0
+
+    @property
+    def newest_fix_s(self) -> float:
+        """Stamp of the newest fix, minus infinity before the first."""
+        return self._alignment.newest_s
+
+    def add_fix(self, fix: GnssFix, antenna_m: Floats, reckoned: Floats) -> None:
+        """Take in a fix and the dead-reckoned pose `(3,)` of its moment."""
+        self._alignment.push(fix, antenna_m, reckoned)
+
+    def add_scan(self, scan: PoleScan, reckoned: Floats, travelled_m: float) -> None:
+        """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
+        self._memory.push(scan, reckoned, travelled_m)
+
+    def start(
+        self, count: int, stamp_s: float, reckoned: Floats, rng: np.random.Generator
+    ) -> Floats:
+        """Poses `(count, 3)` to begin with; none while waiting makes them better.
+
+        Poses of any heading are a poor start: a single pole fits them all. So the first metres are
+        awaited, after which GNSS has a heading, unless the poles fit a constellation in one place
+        only, or the car has driven for as long as the patience lasts.
+        """
+        if not self.rested(stamp_s):
+            return np.empty((0, 3))
+        since_s, self._searched_s = stamp_s - self._searched_s, stamp_s
+        gnss = self._gnss_pose(stamp_s, reckoned)
+        candidates = self._search(reckoned, gnss, rng)
+        moved = np.hypot(*(reckoned[:2] - self._searched_at_m)) > _STANDING_M
+        self._searched_at_m = reckoned[:2].copy()
+        if gnss is not None and moved and np.isfinite(since_s):
+            self._waited_s += since_s
+        if gnss is None or not gnss.heading_known:
+            sure = _stands_out(candidates, self._enough(gnss))
+            if not sure and (gnss is None or self._waited_s < self._config.start_patience_s):
+                return np.empty((0, 3))
+        return draw_poses(count, gnss, candidates, rng)
+
+    def verify(
+        self,
+        pose: Floats,
+        stamp_s: float,
+        reckoned: Floats,
+        rng: np.random.Generator,
+        *,
+        proven: bool = False,
+    ) -> Verdict:
+        """Hold a pose `(3,)` against the poles of the last metres, and against other places.
+
+        "confirmed" if it explains enough of them and no other place does as well, "contradicted"
+        if another one does clearly better; a pose that was proven before gives way only to one that
+        is alone in that, and by one pole more: the map may lack what is seen.
+        """
+        self._searched_s = stamp_s
+        gnss = self._gnss_pose(stamp_s, reckoned)
+        candidates = self._search(reckoned, gnss, rng)
+        config = self._config
+        own = self._index.judge(
+            pose[np.newaxis],
+            self._memory.around(reckoned),
+            config.constellation_tolerance_m,
+            self._against(gnss),
+        )
+        enough, score = self._enough(gnss), float(own.score[0])
+        found = len(candidates) > 0 and candidates.matched[0] >= enough
+        if proven:
+            # nearly the same pose is no other place: dead reckoning has bent the constellation
+            found = _stands_out(candidates, enough + 1) and not candidates.at(pose)[0]
+        if found and candidates.score[0] >= score + _MARGIN:
+            return "contradicted"
+        rivals = candidates.score[~candidates.at(pose)]
+        if own.matched[0] >= enough and (len(rivals) == 0 or score >= rivals[0] + _MARGIN):
+            return "confirmed"
+        return "open"
+
+    def _enough(self, gnss: GnssPose | None) -> int:
+        """Poles that a constellation must hold to be a proof; one more without a heading."""
+        known = gnss is not None and gnss.heading_known
+        return self._config.constellation_min_poles + (not known)
+
+    def rested(self, stamp_s: float, intervals: float = 1.0) -> bool:
+        """Whether the last search is long enough ago for another."""
+        return stamp_s - self._searched_s >= intervals * self._config.constellation_interval_s
+
+    def draw(
+        self, count: int, stamp_s: float, reckoned: Floats, rng: np.random.Generator
+    ) -> Floats:
+        """Rear-axle poses `(count, 3)` at `stamp_s`; none where nothing is known."""
+        self._searched_s = stamp_s
+        gnss = self._gnss_pose(stamp_s, reckoned)
+        return draw_poses(count, gnss, self._search(reckoned, gnss, rng), rng)
+
+    def _gnss_pose(self, stamp_s: float, reckoned: Floats) -> GnssPose | None:
+        if stamp_s - self._alignment.newest_s > self._config.gnss_max_age_s:
+            return None
+        return self._alignment.pose(reckoned)
+
+    def _search(
+        self, reckoned: Floats, gnss: GnssPose | None, rng: np.random.Generator
+    ) -> Candidates:
+        config = self._config
+        points = self._memory.around(reckoned)
+        # one less than a proof where a fix narrows the search: without one, chance matches abound
+        least = self._enough(gnss) if gnss is None else self._enough(gnss) - 1
+        if len(points) < least:
+            return _NO_CANDIDATES
+        reach = np.inf
+        if gnss is not None:
+            reach = max(config.constellation_reach_m, 3.0 * position_sd(gnss.covariance)[0])
+        return self._index.find(
+            points,
+            tolerance_m=config.constellation_tolerance_m,
+            min_poles=least,
+            rng=rng,
+            centre_m=None if gnss is None else gnss.pose[:2],
+            reach_m=reach,
+            against=self._against(gnss),
+        )
+
+    def _against(self, gnss: GnssPose | None) -> Against | None:
+        if gnss is None:
+            return None
+        return lambda poses: gnss.misfit(poses, self._config.gnss_outlier_share)
+
+
+def _stands_out(candidates: Candidates, enough: int) -> bool:
+    """Whether the best candidate explains enough poles, and clearly more than the others."""
+    if len(candidates) == 0 or candidates.matched[0] < enough:
+        return False
+    return len(candidates) == 1 or bool(candidates.score[0] >= candidates.score[1] + _MARGIN)

@@ -1,0 +1,1 @@
+"""Drives with reference poses to one pole map."""

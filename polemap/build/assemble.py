@@ -1,0 +1,266 @@
+"""What drives observed to one map: align, merge, weigh the evidence, number the poles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from polemap.build.align import NO_SHIFT, Shift, register
+from polemap.build.city.tiles import Run, here, merge_tiles
+from polemap.build.config import MappingConfig
+from polemap.build.drift import measure_drift
+from polemap.build.existence import Evidence, Visibility, detection_probability, evidence, existence
+from polemap.build.history import COLUMN, OldMap, open_history, write_history
+from polemap.build.merge import Merged
+from polemap.build.observe import DriveObservations, join_apart, join_landmarks
+from polemap.build.passes import PassLandmarks
+from polemap.build.summary import building_reports, distinct, evidence_columns, weighted
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.landmark_map import PoleMap, join_maps
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+_NEIGHBOUR_M = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltMap:
+    """A map, and what its building found out.
+
+    Attributes:
+        removed: poles of the map before that no longer stand, or were never solid.
+        shifts: correction of each drive against the others, by name.
+        reports: sentences for whoever started the building.
+    """
+
+    pole_map: PoleMap
+    removed: PoleMap
+    shifts: dict[str, Shift]
+    reports: tuple[str, ...]
+
+
+def assemble_map(
+    observed: Sequence[DriveObservations],
+    config: MappingConfig,
+    frame: EarthFrame,
+    *,
+    update: PoleMap | None = None,
+    align: bool = False,
+    run: Run = here,
+    tile_m: float | None = None,
+) -> BuiltMap:
+    """Merge what drives observed; neither their order nor who computed them matters.
+
+    Args:
+        observed: the drives.
+        config: settings.
+        frame: of the map.
+        update: a map to bring up to date.
+        align: lay drives onto each other first.
+        run: applies a function to tasks; `here`, or that of a cluster (`city.work`).
+        tile_m: edge of the tiles in which the merging is done; the rows do not depend on it.
+    """
+    ordered = sorted(observed, key=lambda part: part.order)
+    if update is not None and update.doubtful is not None:
+        update = join_maps(update, update.doubtful)
+    old = open_history(update) if update is not None and len(update) else None
+    shifts = align_drives(ordered, old, config)
+    if align:
+        ordered = [part.moved(shifts[part.sightings.drive]) for part in ordered]
+    drifts = measure_drift(
+        [part.landmarks for part in ordered],
+        config,
+        fixed=old.landmarks if old is not None else None,
+        between=align,
+    )
+    if drifts is not None:
+        ordered = [part.levelled(drift) for part, drift in zip(ordered, drifts, strict=True)]
+    landmarks = join_landmarks(
+        [part.landmarks for part in ordered] + ([old.landmarks] if old else [])
+    )
+    stood = update.existence >= config.existence_min if update is not None else np.empty(0, bool)
+    apart = _all_apart(ordered, old, stood)
+    unresolved = [] if align else [shift.size_m for shift in shifts.values() if shift.significant]
+    # drives that are known to disagree make the map no better than they are
+    floor = float(np.sqrt(np.mean(np.square(unresolved)) / 2.0)) if unresolved else 0.0
+    merged, seen = merge_tiles(landmarks, apart, ordered, config, floor, run=run, tile_m=tile_m)
+    evidences = _all_evidence(ordered, seen, old, merged)
+    built = _finish(landmarks, merged, evidences, old, update, config, frame)
+    return replace(
+        built, shifts=shifts, reports=building_reports(ordered, shifts, align, merged, drifts)
+    )
+
+
+def align_drives(
+    ordered: Sequence[DriveObservations], old: OldMap | None, config: MappingConfig
+) -> dict[str, Shift]:
+    """The correction that lays each drive onto the map before it, or onto the earlier drives.
+
+    The first drive (or the old map) stays where it is: which of two references is right cannot be
+    told from their disagreement.
+    """
+    shifts: dict[str, Shift] = {}
+    fixed = old.landmarks.points_m if old is not None else np.empty((0, 2))
+    for part in ordered:
+        points = _solid(part.landmarks, config)
+        shift = register(points, fixed, config.align_max_m) if len(fixed) else NO_SHIFT
+        shift = shift if shift.significant else NO_SHIFT
+        shifts[part.sightings.drive] = shift
+        fixed = np.concatenate([fixed, shift.points(points)])
+    return shifts
+
+
+def _solid(landmarks: PassLandmarks, config: MappingConfig) -> Floats:
+    return landmarks.points_m[landmarks.observations >= config.observations_min]
+
+
+def _all_apart(
+    ordered: Sequence[DriveObservations], old: OldMap | None, stood: NDArray[np.bool_]
+) -> Whole:
+    parts = [part.apart for part in ordered]
+    lengths = [len(part.landmarks) for part in ordered]
+    if old is not None:
+        parts.append(_decided_apart(old, stood))
+        lengths.append(len(old.landmarks))
+    return join_apart(parts, lengths)
+
+
+def _decided_apart(old: OldMap, stood: NDArray[np.bool_]) -> Whole:
+    """Neighbouring passes that the old map held to be two standing poles stay two."""
+    if not len(old.pole):
+        return np.empty((0, 2), dtype=np.int64)
+    pairs = KDTree(old.landmarks.points_m).query_pairs(2.0, output_type="ndarray").reshape(-1, 2)
+    pairs = np.sort(pairs, axis=1)
+    first, second = old.pole[pairs[:, 0]], old.pole[pairs[:, 1]]
+    return np.asarray(pairs[(first != second) & stood[first] & stood[second]], dtype=np.int64)
+
+
+def _all_evidence(
+    ordered: Sequence[DriveObservations],
+    parts: list[Visibility],
+    old: OldMap | None,
+    merged: Merged,
+) -> list[tuple[str, float, Evidence]]:
+    """What every drive, old and new, counted at every pole; in the order of time."""
+    detection = detection_probability(parts)
+    drives = [
+        (part.sightings.drive, part.sightings.start_s, evidence(seen, detection))
+        for part, seen in zip(ordered, parts, strict=True)
+    ]
+    if old is not None:
+        rows = merged.owner[sum(len(part.landmarks) for part in ordered) :]
+        for name, when, counts in old.evidence:
+            drives.append((name, when, _carried(counts, old, rows, merged.points_m)))
+    return sorted(drives, key=lambda drive: (drive[1], drive[0]))
+
+
+def _carried(counts: Evidence, old: OldMap, cluster: Whole, points: Floats) -> Evidence:
+    """Counts at the old map's poles, at the clusters that their passes went to.
+
+    Where the old map has no pole, its drives' looks are those at the nearest pole that it has: a
+    drive that had that one in view would have seen this one too, had it stood there.
+    """
+    n = len(points)
+    seen, looks = np.zeros(n), np.zeros(n)
+    heirs = _heirs(old, cluster)
+    np.add.at(seen, heirs[:, 1], counts.seen[heirs[:, 0]])
+    np.add.at(looks, heirs[:, 1], counts.looks[heirs[:, 0]])
+    new = np.setdiff1d(np.arange(n), heirs[:, 1])
+    if len(new) and len(cluster):
+        distance, row = KDTree(old.landmarks.points_m).query(points[new])
+        near = np.asarray(distance) <= _NEIGHBOUR_M
+        looks[new[near]] = counts.looks[old.pole[np.asarray(row)[near]]]
+    return Evidence(seen, looks)
+
+
+def _heirs(old: OldMap, cluster: Whole) -> Whole:
+    """Pairs `(pole of the old map, cluster)`: where most of its sightings went.
+
+    Stray passes that now stand alone inherit nothing.
+    """
+    width = int(cluster.max(initial=0)) + 1
+    links, row = np.unique(old.pole * width + cluster, return_inverse=True)
+    weight = np.bincount(row, old.landmarks.observations)
+    pole = links // width
+    order = np.lexsort((links, -weight, pole))
+    _, first = np.unique(pole[order], return_index=True)
+    chosen = links[order][first]
+    return np.stack([chosen // width, chosen % width], axis=1)
+
+
+def _finish(
+    landmarks: PassLandmarks,
+    merged: Merged,
+    drives: list[tuple[str, float, Evidence]],
+    old: OldMap | None,
+    update: PoleMap | None,
+    config: MappingConfig,
+    frame: EarthFrame,
+) -> BuiltMap:
+    n = len(merged)
+    prior = np.zeros(n)
+    old_rows = merged.owner[len(landmarks) - len(old.pole) :] if old is not None else None
+    heirs = _heirs(old, old_rows) if old is not None and old_rows is not None else None
+    if old is not None and heirs is not None:
+        np.maximum.at(prior, heirs[:, 1], old.prior_log_odds[heirs[:, 0]])
+    stands = existence([counts for _, _, counts in drives], config, prior)
+    observations = np.bincount(merged.owner, landmarks.observations, n).astype(np.int64)
+    known = np.zeros(n, dtype=bool)
+    if heirs is not None and update is not None:
+        stood = update.existence >= config.existence_min
+        known[heirs[stood[heirs[:, 0]], 1]] = True
+    solid = known | (observations >= config.observations_min)
+    ids = _ids(len(merged), heirs, update)
+    every = PoleMap(
+        frame=frame,
+        ids=ids,
+        points_m=merged.points_m,
+        covariance_m2=merged.covariance_m2,
+        width_m=weighted(landmarks.width_m, landmarks.observations, merged.owner, n),
+        height_m=weighted(landmarks.height_m, landmarks.observations, merged.owner, n),
+        observations=observations,
+        drives=distinct(landmarks.drive, merged.owner, n),
+        existence=stands,
+        extra=evidence_columns(landmarks, merged.owner, drives, n),
+    )
+    # a pole that is known stays in doubt, a new one has to win it
+    keep = solid & np.where(
+        known, stands >= config.existence_min, stands > config.existence_min + 1e-6
+    )
+    # what was seen half as often as is needed may be confirmed by the next drive
+    waits = (known | (observations >= max(2, config.observations_min // 2))) & ~keep
+    every = _with_history(every, keep | waits, landmarks, merged.owner, drives)
+    doubtful = every.rows(waits)
+    just_below = np.nextafter(config.existence_min, 0.0)
+    doubtful = replace(doubtful, existence=np.minimum(doubtful.existence, just_below))
+    standing = replace(every.rows(keep), doubtful=doubtful)
+    return BuiltMap(standing, every.rows(known & ~keep), {}, ())
+
+
+def _with_history(
+    every: PoleMap,
+    wanted: NDArray[np.bool_],
+    landmarks: PassLandmarks,
+    owner: Whole,
+    drives: list[tuple[str, float, Evidence]],
+) -> PoleMap:
+    """The map with the column `history`; empty for rows that nobody will see."""
+    history = write_history(landmarks, owner, drives, wanted)
+    return replace(every, extra={**every.extra, COLUMN: history})
+
+
+def _ids(n: int, heirs: Whole | None, update: PoleMap | None) -> Whole:
+    """Poles of the old map keep their ids; new ones are numbered from south to north."""
+    if heirs is None or update is None:
+        return np.arange(n, dtype=np.int64)
+    none = np.iinfo(np.int64).max
+    ids = np.full(n, none, dtype=np.int64)
+    np.minimum.at(ids, heirs[:, 1], update.ids[heirs[:, 0]])
+    fresh = ids == none
+    ids[fresh] = int(update.ids.max()) + 1 + np.arange(np.count_nonzero(fresh))
+    return ids

@@ -1,0 +1,208 @@
+"""Which drive said what about a pole: kept in the map, so that the next drive can be merged.
+
+A pole's history is a JSON list in the column `history`, an entry a drive in the order of time:
+`{"drive", "start_s", "seen", "looks", "passes"}`; looks are independent ones (`existence`), and a
+pass is the row of `passes.PassLandmarks` that it contributed. Merging the passes of a map with
+those of new drives is the same as building the map from all drives at once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.build.existence import Evidence
+from polemap.build.passes import PassLandmarks
+from polemap.drivelog.errors import InputError
+from polemap.map.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+COLUMN = "history"
+_PASS = (
+    "east_m", "north_m", "var_east_m2", "var_north_m2", "cov_east_north_m2", "reference_sd_m",
+    "lever_m", "direction_rad", "width_m", "width_sd_m", "height_m", "observations", "first_s",
+    "last_s", "directions", "range_min_m", "gain_east_m_per_px", "gain_north_m_per_px",
+    "aligned_sd_m", "height_sd_m", "range_max_m",
+)  # fmt: skip
+# values of a pass in maps of before, and what stands for those that they lack
+_PASS_BEFORE = 16
+_LACKING = (0.0, 0.0, 0.0, None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class OldMap:
+    """A map taken apart again for an update.
+
+    Attributes:
+        landmarks: all passes in its history.
+        pole: `(len(landmarks),)` row of the map that each belongs to.
+        evidence: what each drive counted at each row of the map, in the order of time.
+        prior_log_odds: `(n,)` for poles that have no history (a CSV, a public inventory).
+    """
+
+    landmarks: PassLandmarks
+    pole: Whole
+    evidence: tuple[tuple[str, float, Evidence], ...]
+    prior_log_odds: Floats
+
+
+def write_history(
+    landmarks: PassLandmarks,
+    owner: Whole,
+    drives: Sequence[tuple[str, float, Evidence]],
+    wanted: NDArray[np.bool_],
+) -> NDArray[np.str_]:
+    """The column `history` `(n,)` for poles that own the landmarks; empty where not `wanted`."""
+    texts: list[str] = []
+    count = len(wanted)
+    order = np.argsort(owner, kind="stable")
+    bounds = np.searchsorted(owner[order], np.arange(count + 1))
+    values = _pass_values(landmarks)
+    for pole in range(count):
+        if not wanted[pole]:
+            texts.append("")
+            continue
+        rows = order[bounds[pole] : bounds[pole + 1]]
+        entries = []
+        for name, start, seen in drives:
+            of_drive = rows[landmarks.drive[rows] == name]
+            if not len(of_drive) and seen.looks[pole] <= 0.0:
+                continue
+            passes = sorted(_rounded(values[row]) for row in of_drive)
+            entries.append(
+                {
+                    "drive": name,
+                    "start_s": round(start, 3),
+                    "seen": round(float(seen.seen[pole]), 3),
+                    "looks": round(float(seen.looks[pole]), 3),
+                    "passes": passes,
+                }
+            )
+        texts.append(json.dumps(entries, separators=(",", ":")).replace("NaN", "null"))
+    return np.array(texts, dtype=np.str_)
+
+
+def _rounded(row: Floats) -> list[float]:
+    # enough digits that an update gives what a build from all drives gives, to the micrometre
+    return [round(float(value), 9) for value in row]
+
+
+def _pass_values(landmarks: PassLandmarks) -> Floats:
+    covariance = landmarks.covariance_m2
+    columns = {
+        "east_m": landmarks.points_m[:, 0],
+        "north_m": landmarks.points_m[:, 1],
+        "var_east_m2": covariance[:, 0, 0],
+        "var_north_m2": covariance[:, 1, 1],
+        "cov_east_north_m2": covariance[:, 0, 1],
+        "gain_east_m_per_px": landmarks.gain_m_per_px[:, 0],
+        "gain_north_m_per_px": landmarks.gain_m_per_px[:, 1],
+    }
+    return np.column_stack(
+        [columns[n] if n in columns else getattr(landmarks, n).astype(float) for n in _PASS]
+    )
+
+
+def open_history(pole_map: PoleMap) -> OldMap:
+    """Take a map apart; poles without a history become one pass of a drive called `map`.
+
+    Raises:
+        InputError: a history that cannot be read.
+    """
+    n = len(pole_map)
+    texts = pole_map.extra.get(COLUMN, np.full(n, "", dtype=np.str_))
+    rows: list[list[Any]] = []
+    poles: list[int] = []
+    names: list[str] = []
+    starts: list[float] = []
+    drives: dict[tuple[float, str], Evidence] = {}
+    prior = np.zeros(n)
+    for pole, text in enumerate(texts):
+        entries = _entries(str(text), int(pole_map.ids[pole]))
+        if not entries:
+            prior[pole] = _log_odds(float(pole_map.existence[pole]))
+            rows.append(_as_pass(pole_map, pole))
+            poles.append(pole)
+            names.append("map")
+            starts.append(-np.inf)
+        for entry in entries:
+            key = (float(entry["start_s"]), str(entry["drive"]))
+            counts = drives.setdefault(key, Evidence(np.zeros(n), np.zeros(n)))
+            counts.seen[pole], counts.looks[pole] = entry["seen"], entry["looks"]
+            for values in entry["passes"]:
+                rows.append([*values, *(_LACKING if len(values) == _PASS_BEFORE else ())])
+                poles.append(pole)
+                names.append(key[1])
+                starts.append(key[0])
+    table = np.array(rows, dtype=np.float64).reshape(-1, len(_PASS))
+    evidence = tuple((name, start, drives[start, name]) for start, name in sorted(drives))
+    return OldMap(
+        _landmarks(table, np.array(names, dtype=np.str_), np.array(starts, dtype=np.float64)),
+        np.array(poles, dtype=np.int64),
+        evidence,
+        prior,
+    )
+
+
+def _entries(text: str, pole: int) -> list[Mapping[str, Any]]:
+    if not text.strip():
+        return []
+    try:
+        entries = json.loads(text)
+        for entry in entries:
+            float(entry["start_s"]), str(entry["drive"]), float(entry["seen"])
+            float(entry["looks"])
+            if any(len(v) not in (_PASS_BEFORE, len(_PASS)) for v in entry["passes"]):
+                raise ValueError("a pass has another number of values")
+    except (ValueError, TypeError, KeyError) as error:
+        raise InputError(
+            f"pole map: the history of pole {pole} cannot be read ({error})"
+        ) from error
+    return list(entries)
+
+
+def _log_odds(probability: float) -> float:
+    p = min(max(probability, 0.02), 0.98)
+    return float(np.log(p / (1.0 - p)))
+
+
+def _as_pass(pole_map: PoleMap, row: int) -> list[float]:
+    covariance = pole_map.covariance_m2[row]
+    return [
+        float(pole_map.points_m[row, 0]), float(pole_map.points_m[row, 1]),
+        float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[0, 1]),
+        0.0, 0.0, 0.0, float(pole_map.width_m[row]), np.nan, float(pole_map.height_m[row]),
+        float(max(pole_map.observations[row], 1)), 0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0, np.nan,
+        np.nan,
+    ]  # fmt: skip
+
+
+def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> PassLandmarks:
+    column = {name: table[:, i] for i, name in enumerate(_PASS)}
+    covariance = np.empty((len(table), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = column["var_east_m2"], column["var_north_m2"]
+    covariance[:, 0, 1] = covariance[:, 1, 0] = column["cov_east_north_m2"]
+    plain = (
+        "reference_sd_m", "lever_m", "direction_rad", "width_m", "width_sd_m", "height_m",
+        "first_s", "last_s", "range_min_m", "aligned_sd_m",
+        "height_sd_m", "range_max_m",
+    )  # fmt: skip
+    return PassLandmarks(
+        drive=names,
+        start_s=starts,
+        points_m=table[:, :2].copy(),
+        covariance_m2=covariance,
+        gain_m_per_px=np.column_stack(
+            [column["gain_east_m_per_px"], column["gain_north_m_per_px"]]
+        ),
+        observations=column["observations"].astype(np.int64),
+        directions=column["directions"].astype(np.int64),
+        **{name: column[name] for name in plain},
+    )

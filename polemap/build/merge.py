@@ -1,0 +1,275 @@
+"""Pass landmarks of all drives to poles: clustering, and fusion with a covariance that holds.
+
+Errors are kept apart by what shares them: the detector's (white within a pass, from `passes`), the
+reference's that a pass shares, and the one that a whole drive shares. How large the latter two are
+is measured where passes or drives meet, and taken as the reference states it where they do not.
+A stereo camera's disparity errs too: by a part that all looks of one pass at a stem share, and by
+one (calibration) that everything shares. It moves a pole by its gain, along the mean ray; the
+common part is carried through all means as a parameter that is considered but not estimated
+(Schmidt), so that two passes from opposite sides cancel it and two from one side do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.stats import chi2
+
+from polemap.build.config import MappingConfig
+from polemap.build.passes import PassLandmarks
+from polemap.build.robust_means import weighted_mean
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+_MEDIAN = float(chi2.median(2))
+_PAIRS_MIN = 20  # fewer meetings do not measure an error
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceError:
+    """Standard deviations an axis that passes and drives share; `pairs` that measured them."""
+
+    pass_sd_m: float | None
+    drive_sd_m: float
+    pass_pairs: int
+    drive_pairs: int
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """Poles from clusters of pass landmarks; `owner` `(n,)` is the pole of each landmark."""
+
+    points_m: Floats
+    covariance_m2: Floats
+    owner: Whole
+    reference_error: ReferenceError
+
+    def __len__(self) -> int:
+        return len(self.points_m)
+
+
+def shared_covariance(
+    landmarks: PassLandmarks, config: MappingConfig, pass_sd_m: float | None
+) -> Floats:
+    """What all sightings of a pass have in common, `(n, 2, 2)`: reference and systematic errors."""
+    sd = landmarks.reference_sd_m if pass_sd_m is None else np.full(len(landmarks), pass_sd_m)
+    c, s = np.cos(landmarks.direction_rad), np.sin(landmarks.direction_rad)
+    across = np.stack([-s, c], axis=1)
+    turn = (config.reference_yaw_sd_rad * landmarks.lever_m)[:, None, None] ** 2
+    plain = (sd**2 + config.systematic_sd_m**2)[:, None, None] * np.eye(2)
+    gain = landmarks.gain_m_per_px
+    along = config.disparity_pass_sd_px**2 * gain[:, :, None] * gain[:, None, :]
+    return np.asarray(plain + turn * across[:, :, None] * across[:, None, :] + along)
+
+
+def _common(gain_m_per_px: Floats, config: MappingConfig) -> Floats:
+    """Covariance `(n, 2, 2)` from the disparity error that everything shares."""
+    one = config.disparity_common_sd_px * gain_m_per_px
+    return np.asarray(one[:, :, None] * one[:, None, :])
+
+
+def shared_sd(offset_m: Floats, covariance_m2: Floats, most_m: float) -> float:
+    """The sd an axis that has to be added to `covariance_m2` `(k, 2, 2)` to explain offsets.
+
+    From the median of the squared Mahalanobis distances, so that wrong pairs hardly matter.
+    """
+
+    def median(sd: float) -> float:
+        spread = covariance_m2 + np.eye(2) * sd**2
+        solved = np.linalg.solve(spread, offset_m[..., None])[..., 0]
+        return float(np.median(np.sum(offset_m * solved, axis=1)))
+
+    low, high = 0.0, most_m
+    if median(low) <= _MEDIAN:
+        return 0.0
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if median(middle) > _MEDIAN else (low, middle)
+    return (low + high) / 2.0
+
+
+def close_pairs(points_m: Floats, most_m: float) -> Whole:
+    """Pairs `(k, 2)` of points no farther apart, smaller row first.
+
+    Each distance is compared by itself: whole branches of the tree are accepted by their bounds,
+    which may round otherwise where other points stand in it.
+    """
+    if len(points_m) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    pairs = KDTree(points_m).query_pairs(1.000001 * most_m, output_type="ndarray")
+    pairs = np.sort(pairs.reshape(-1, 2).astype(np.int64), axis=1)
+    offset = points_m[pairs[:, 0]] - points_m[pairs[:, 1]]
+    return np.asarray(pairs[np.hypot(offset[:, 0], offset[:, 1]) <= most_m])
+
+
+def meetings(landmarks: PassLandmarks, config: MappingConfig, apart: Whole) -> Whole:
+    """Pairs `(k, 2)` of landmarks that are each other's nearest and may be one pole."""
+    solid = np.flatnonzero(landmarks.observations >= config.observations_min)
+    if len(solid) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    pairs = solid[close_pairs(landmarks.points_m[solid], config.merge_max_m)]
+    pairs = pairs[~_listed(pairs, apart, len(landmarks))]
+    length = np.linalg.norm(
+        landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]], axis=1
+    )
+    nearest = np.full(len(landmarks), np.inf)
+    for side in (0, 1):
+        np.minimum.at(nearest, pairs[:, side], length)
+    mutual = (length <= nearest[pairs[:, 0]]) & (length <= nearest[pairs[:, 1]])
+    return np.asarray(pairs[mutual])
+
+
+def _listed(pairs: Whole, listed: Whole, n: int) -> NDArray[np.bool_]:
+    if not len(pairs) or not len(listed):
+        return np.zeros(len(pairs), dtype=bool)
+    low, high = pairs.min(axis=1), pairs.max(axis=1)
+    return np.isin(low * n + high, listed[:, 0] * n + listed[:, 1])
+
+
+def measure_reference(
+    landmarks: PassLandmarks, config: MappingConfig, pairs: Whole
+) -> ReferenceError:
+    """How far passes of a drive, and drives, disagree about the same poles.
+
+    Args:
+        landmarks: of all drives.
+        config: settings.
+        pairs: its `meetings` `(k, 2)`.
+    """
+    first, second = pairs[:, 0], pairs[:, 1]
+    offset = landmarks.points_m[first] - landmarks.points_m[second]
+    own = landmarks.covariance_m2[first] + landmarks.covariance_m2[second]
+    rest = shared_covariance(landmarks, config, 0.0)
+    own = own + rest[first] + rest[second]
+    # what everything shares moves both: only the difference of their gains tells them apart
+    own = own + _common(landmarks.gain_m_per_px[first] - landmarks.gain_m_per_px[second], config)
+    same = landmarks.drive[first] == landmarks.drive[second]
+    pass_sd = None
+    if np.count_nonzero(same) >= _PAIRS_MIN:
+        pass_sd = shared_sd(offset[same], own[same], config.merge_max_m) / np.sqrt(2.0)
+    drive_sd, other = 0.0, ~same
+    if np.count_nonzero(other) >= _PAIRS_MIN:
+        with_pass = own[other]
+        if pass_sd is not None:
+            with_pass = with_pass + np.eye(2) * 2.0 * pass_sd**2
+            drive_sd = shared_sd(offset[other], with_pass, config.merge_max_m) / np.sqrt(2.0)
+        else:
+            # no pass meets another of its drive: all disagreement counts as the passes' own
+            pass_sd = shared_sd(offset[other], with_pass, config.merge_max_m) / np.sqrt(2.0)
+    return ReferenceError(
+        pass_sd, drive_sd, int(np.count_nonzero(same)), int(np.count_nonzero(other))
+    )
+
+
+def cluster(
+    landmarks: PassLandmarks, config: MappingConfig, apart: Whole, error: ReferenceError
+) -> Whole:
+    """Cluster number of each landmark `(n,)`, numbered from south to north.
+
+    Pairs are joined from the most to the least alike, as long as the clusters' means stay within
+    `merge_max_m` and the gate, and no two of their members were seen side by side.
+    """
+    n = len(landmarks)
+    if not n:
+        return np.empty(0, dtype=np.int64)
+    spread = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.pass_sd_m)
+    spread = spread + np.eye(2) * (error.drive_sd_m**2 + config.merge_slack_m**2)
+    spread = spread + _common(landmarks.gain_m_per_px, config)
+    pairs = close_pairs(landmarks.points_m, config.merge_max_m)
+    offset = landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]]
+    both = spread[pairs[:, 0]] + spread[pairs[:, 1]]
+    likeness = np.sum(offset * np.linalg.solve(both, offset[..., None])[..., 0], axis=1)
+    gate = float(chi2.ppf(config.merge_probability, 2))
+    usable = (likeness <= gate) & ~_listed(pairs, apart, n)
+    pairs, likeness = pairs[usable], likeness[usable]
+    # ties are broken by place, never by row: the order in which drives come must not matter
+    middle = (landmarks.points_m[pairs[:, 0]] + landmarks.points_m[pairs[:, 1]]) / 2.0
+    order = np.lexsort((middle[:, 0], middle[:, 1], likeness))
+    joiner = _Joiner(landmarks.points_m, spread, apart, gate, config.merge_max_m)
+    for first, second in pairs[order].tolist():
+        joiner.join(first, second)
+    return number_from_south(joiner.roots(), landmarks.points_m)
+
+
+def number_from_south(root: Whole, points: Floats) -> Whole:
+    """Clusters renumbered by the place of their southernmost member."""
+    if not len(root):
+        return np.empty(0, dtype=np.int64)
+    order = np.lexsort((points[:, 0], points[:, 1]))
+    _, first = np.unique(root[order], return_index=True)
+    ranked = root[order][np.sort(first)]
+    number = np.empty(int(root.max()) + 1, dtype=np.int64)
+    number[ranked] = np.arange(len(ranked))
+    return number[root]
+
+
+class _Joiner:
+    """Union-find that keeps each cluster's mean, and refuses to join what must stay apart."""
+
+    def __init__(
+        self, points: Floats, spread: Floats, apart: Whole, gate: float, most_m: float
+    ) -> None:
+        self._parent = list(range(len(points)))
+        self._information = list(np.linalg.inv(spread))
+        self._vector = [a @ b for a, b in zip(self._information, points, strict=True)]
+        self._gate, self._most_m = gate, most_m
+        self._enemies: dict[int, set[int]] = {}
+        for first, second in apart.tolist():
+            self._enemies.setdefault(first, set()).add(second)
+            self._enemies.setdefault(second, set()).add(first)
+
+    def _find(self, row: int) -> int:
+        while self._parent[row] != row:
+            self._parent[row] = self._parent[self._parent[row]]
+            row = self._parent[row]
+        return row
+
+    def join(self, first: int, second: int) -> None:
+        a, b = self._find(first), self._find(second)
+        if a == b or b in self._enemies.get(a, ()):
+            return
+        covariance_a, covariance_b = (np.linalg.inv(self._information[k]) for k in (a, b))
+        offset = covariance_a @ self._vector[a] - covariance_b @ self._vector[b]
+        distance = float(offset @ np.linalg.solve(covariance_a + covariance_b, offset))
+        if distance > self._gate or float(np.hypot(*offset)) > self._most_m:
+            return
+        self._parent[b] = a
+        self._information[a] = self._information[a] + self._information[b]
+        self._vector[a] = self._vector[a] + self._vector[b]
+        for enemy in self._enemies.pop(b, set()):
+            self._enemies[enemy].discard(b)
+            self._enemies[enemy].add(a)
+            self._enemies.setdefault(a, set()).add(enemy)
+
+    def roots(self) -> Whole:
+        return np.array([self._find(row) for row in range(len(self._parent))], dtype=np.int64)
+
+
+def fuse(
+    landmarks: PassLandmarks, owner: Whole, config: MappingConfig, error: ReferenceError
+) -> tuple[Floats, Floats]:
+    """Means `(m, 2)` and covariances `(m, 2, 2)` of the clusters.
+
+    Passes of one drive are averaged first, each with its own and the pass's shared error; then
+    the drives, each with the drive's shared error.
+    """
+    own = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.pass_sd_m)
+    names, drive = np.unique(landmarks.drive, return_inverse=True)
+    groups, group = np.unique(owner * len(names) + drive, return_inverse=True)
+    point, covariance, gain = weighted_mean(
+        landmarks.points_m, own, group, len(groups), landmarks.gain_m_per_px
+    )
+    covariance = covariance + np.eye(2) * error.drive_sd_m**2
+    poles = groups // len(names)
+    clusters = int(owner.max()) + 1 if len(owner) else 0
+    point, covariance, gain = weighted_mean(point, covariance, poles, clusters, gain)
+    # no repetition averages away what the detector does wrong each time
+    covariance = covariance + np.eye(2) * config.systematic_sd_m**2 + _common(gain, config)
+    # passes that were laid onto each other are off together
+    number = np.maximum(np.bincount(owner, minlength=clusters), 1)
+    off = np.bincount(owner, landmarks.aligned_sd_m**2, clusters) / number
+    return point, covariance + off[:, None, None] * np.eye(2)

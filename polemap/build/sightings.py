@@ -1,0 +1,240 @@
+"""Scans and reference poses to sightings in the map's frame: columns, one row a pole a look."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.build.config import MappingConfig
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame, convergence_rad, transform_points
+from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.streams import ReferenceStream
+from polemap.vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """Every moment at which the detector looked, whether it saw a pole or not.
+
+    Attributes:
+        stamp_s: `(m,)` sorted.
+        poses: `(m, 3)` rear axle in the map's frame.
+        origin_vehicle_m: `(m, 2)` of the field of view; `bearing_min_rad`, `bearing_max_rad`,
+            `range_min_m` `(m,)`; `free_range_m` `(m, k)`, zero where nothing is known.
+    """
+
+    stamp_s: Floats
+    poses: Floats
+    origin_vehicle_m: Floats
+    bearing_min_rad: Floats
+    bearing_max_rad: Floats
+    range_min_m: Floats
+    free_range_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def sees(self, look: Whole, points_m: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
+        """Which points `(k, 2)` of the map were in view in looks `(k,)`; range and bearing too.
+
+        Range and bearing `(k,)` are those from the origin of the field of view.
+        """
+        pose = self.poses[look]
+        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        offset = points_m - pose[:, :2]
+        x = c * offset[:, 0] + s * offset[:, 1] - self.origin_vehicle_m[look, 0]
+        y = -s * offset[:, 0] + c * offset[:, 1] - self.origin_vehicle_m[look, 1]
+        distance, bearing = np.hypot(x, y), np.arctan2(y, x)
+        low, high = self.bearing_min_rad[look], self.bearing_max_rad[look]
+        bins = self.free_range_m.shape[1]
+        column = np.floor((bearing - low) / np.maximum(high - low, 1e-9) * bins).astype(np.int64)
+        free = self.free_range_m[look, np.clip(column, 0, bins - 1)]
+        inside = (column >= 0) & (column < bins) & (distance >= self.range_min_m[look])
+        return inside & (distance <= free), distance, bearing
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """What one drive saw; every array has a row a sighting, sorted by look.
+
+    Attributes:
+        drive: its name.
+        start_s: stamp of its first look, which puts drives in order.
+        look: row in `looks`.
+        points_m: `(n, 2)` in the map's frame.
+        covariance_m2: `(n, 2, 2)` of the detector alone, in the map's frame.
+        direction_rad: from the car to the pole, from grid east.
+        reference_sd_m: of the pose it was seen from.
+        gain_m_per_px: `(n, 2)` how far an error of one pixel of disparity moves it; zero where no
+            stereo camera saw it.
+    """
+
+    drive: str
+    frame: EarthFrame
+    looks: Looks
+    look: Whole
+    points_m: Floats
+    covariance_m2: Floats
+    width_m: Floats
+    height_m: Floats
+    range_m: Floats
+    direction_rad: Floats
+    reference_sd_m: Floats
+    gain_m_per_px: Floats
+    without_pose: int = 0
+
+    def __len__(self) -> int:
+        return len(self.look)
+
+    @property
+    def stamp_s(self) -> Floats:
+        return self.looks.stamp_s[self.look]
+
+    @property
+    def start_s(self) -> float:
+        return float(self.looks.stamp_s[0]) if len(self.looks) else 0.0
+
+
+def collect_sightings(
+    drive: str,
+    drive_frame: EarthFrame,
+    scans: Iterable[PoleScan],
+    reference: ReferenceStream,
+    config: MappingConfig,
+    frame: EarthFrame,
+    focal_baseline_px_m: float | None = None,
+) -> Sightings:
+    """Put the scans of a drive into the map's frame by the reference.
+
+    Args:
+        drive: name of the drive.
+        drive_frame: its frame; poses of another UTM zone are transformed into `frame`.
+        scans: in the order of their stamps.
+        reference: rear-axle poses; scans outside of it are counted in `without_pose`.
+        config: settings.
+        frame: the map's frame.
+        focal_baseline_px_m: focal length times baseline of the stereo camera that saw the poles.
+
+    Raises:
+        InputError: no scan has a reference pose.
+        FrameError: no transformation leads from the drive's frame to the map's.
+    """
+    every = list(scans)
+    stamps = np.array([scan.stamp_s for scan in every])
+    poses = reference.at(stamps) if len(stamps) else np.empty((0, 3))
+    known = np.asarray(np.isfinite(poses).all(axis=1), dtype=np.bool_)
+    if not known.any():
+        raise InputError(
+            f"drive {drive}: none of its {len(every)} scans has a reference pose; a map needs a "
+            "reference that covers them"
+        )
+    chosen = [scan for scan, usable in zip(every, known, strict=True) if usable]
+    poses = _poses_in(poses[known], drive_frame, frame)
+    looks = _looks(stamps[known], poses, chosen)
+    sightings = _rows(drive, frame, chosen, looks, reference, config)
+    sightings = replace(sightings, without_pose=int(np.count_nonzero(~known)))
+    if focal_baseline_px_m is None:
+        return sightings
+    return replace(sightings, gain_m_per_px=_disparity_gain(sightings, focal_baseline_px_m))
+
+
+def _disparity_gain(sightings: Sightings, focal_baseline_px_m: float) -> Floats:
+    """Displacement `(n, 2)` a pixel: along the ray from the camera, `r^2 / (f b)`."""
+    looks, row = sightings.looks, sightings.look
+    pose, origin = looks.poses[row], looks.origin_vehicle_m[row]
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    turned = np.stack([c * origin[:, 0] - s * origin[:, 1], s * origin[:, 0] + c * origin[:, 1]])
+    ray = sightings.points_m - pose[:, :2] - turned.T
+    return np.asarray(ray * np.hypot(ray[:, 0], ray[:, 1])[:, None] / focal_baseline_px_m)
+
+
+def take_looks(sightings: Sightings, chosen: NDArray[np.bool_]) -> tuple[Sightings, Whole]:
+    """The drive with some of its looks only, and the rows of the sightings that are left."""
+    taken = np.flatnonzero(chosen[sightings.look])
+    looks = Looks(**{f.name: getattr(sightings.looks, f.name)[chosen] for f in fields(Looks)})
+    plain = ("drive", "frame", "looks", "look", "without_pose")
+    columns = {
+        field.name: getattr(sightings, field.name)[taken]
+        for field in fields(Sightings)
+        if field.name not in plain
+    }
+    number = np.cumsum(chosen) - 1
+    kept = replace(sightings, looks=looks, look=number[sightings.look[taken]], **columns)
+    return kept, taken
+
+
+def _poses_in(poses: Floats, source: EarthFrame, target: EarthFrame) -> Floats:
+    if source == target:
+        return poses
+    points = transform_points(poses[:, :2], source, target)
+    turn = convergence_rad(target, points) - convergence_rad(source, poses[:, :2])
+    return np.column_stack([points, wrap_angle(poses[:, 2] + turn)])
+
+
+def _looks(stamps: Floats, poses: Floats, scans: list[PoleScan]) -> Looks:
+    views = [scan.view for scan in scans]
+    bins = max((len(view.free_range_m) for view in views if view is not None), default=1)
+    return Looks(
+        stamp_s=stamps,
+        poses=poses,
+        origin_vehicle_m=np.array([v.origin_vehicle_m if v else (0.0, 0.0) for v in views]),
+        bearing_min_rad=np.array([v.bearing_min_rad if v else 0.0 for v in views]),
+        bearing_max_rad=np.array([v.bearing_max_rad if v else 0.0 for v in views]),
+        range_min_m=np.array([v.range_min_m if v else 0.0 for v in views]),
+        free_range_m=np.stack([_free(view, bins) for view in views]),
+    )
+
+
+def _free(view: VisibleRegion | None, bins: int) -> Floats:
+    """The free ranges of a view spread over `bins`; a view that is not known sees nothing."""
+    if view is None:
+        return np.zeros(bins)
+    source = np.arange(bins) * len(view.free_range_m) // bins
+    return np.asarray(view.free_range_m, dtype=np.float64)[source]
+
+
+def _rows(
+    drive: str,
+    frame: EarthFrame,
+    scans: list[PoleScan],
+    looks: Looks,
+    reference: ReferenceStream,
+    config: MappingConfig,
+) -> Sightings:
+    look = np.repeat(np.arange(len(scans)), [len(scan) for scan in scans]).astype(np.int64)
+    points = np.concatenate([scan.points_vehicle_m for scan in scans]).reshape(-1, 2)
+    covariance = np.concatenate([scan.covariance_m2 for scan in scans]).reshape(-1, 2, 2)
+    width = np.concatenate([scan.width_m for scan in scans])
+    height = np.concatenate(
+        [np.full(len(s), np.nan) if s.height_m is None else s.height_m for s in scans]
+    )
+    distance = np.hypot(points[:, 0], points[:, 1])
+    usable = np.isfinite(points).all(axis=1) & (distance <= config.range_max_m)
+    usable &= np.isfinite(covariance).all(axis=(1, 2))
+    look, points, covariance = look[usable], points[usable], covariance[usable]
+    pose = looks.poses[look]
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    turn = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    in_map = np.einsum("nij,nj->ni", turn, points)
+    sd = reference.sd_at(looks.stamp_s)[look]
+    return Sightings(
+        drive=drive,
+        frame=frame,
+        looks=looks,
+        look=look,
+        points_m=in_map + pose[:, :2],
+        covariance_m2=turn @ covariance @ turn.transpose(0, 2, 1),
+        width_m=width[usable],
+        height_m=height[usable],
+        range_m=distance[usable],
+        direction_rad=np.arctan2(in_map[:, 1], in_map[:, 0]),
+        reference_sd_m=np.where(np.isfinite(sd), sd, config.reference_sd_m),
+        gain_m_per_px=np.zeros((len(look), 2)),
+    )

@@ -1,0 +1,92 @@
+"""What a map says about its poles beside their place, and what its building tells the user."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.build.align import Shift
+from polemap.build.drift import Drift
+from polemap.build.existence import Evidence
+from polemap.build.merge import Merged
+from polemap.build.observe import DriveObservations
+from polemap.build.passes import PassLandmarks
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+def weighted(values: Floats, observations: Whole, owner: Whole, n: int) -> Floats:
+    """Mean of the finite values of each pole, weighted by observations; NaN without any."""
+    finite = np.isfinite(values)
+    weight = np.bincount(owner[finite], observations[finite], n)
+    total = np.bincount(owner[finite], (values * observations)[finite], n)
+    return np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), np.nan)
+
+
+def distinct(names: NDArray[np.str_], owner: Whole, n: int) -> Whole:
+    """How many different names each pole has, `(n,)`."""
+    _, code = np.unique(names, return_inverse=True)
+    pairs = np.unique(np.stack([owner, code], axis=1), axis=0)
+    return np.bincount(pairs[:, 0], minlength=n).astype(np.int64)
+
+
+def evidence_columns(
+    landmarks: PassLandmarks, owner: Whole, drives: list[tuple[str, float, Evidence]], n: int
+) -> dict[str, NDArray[np.generic]]:
+    """The columns of evidence `(n,)`: passes, directions, ranges, scatter, share of looks."""
+    directions = np.zeros(n, dtype=np.int64)
+    np.bitwise_or.at(directions, owner, landmarks.directions)
+    nearest, farthest = np.full(n, np.inf), np.full(n, -np.inf)
+    np.fmin.at(nearest, owner, landmarks.range_min_m)
+    np.fmax.at(farthest, owner, landmarks.range_max_m)
+    seen = np.sum([counts.seen for _, _, counts in drives], axis=0)
+    looks = np.sum([counts.looks for _, _, counts in drives], axis=0)
+    return {
+        "passes": np.bincount(owner, minlength=n).astype(np.int64),
+        "directions": np.bitwise_count(directions).astype(np.int64),
+        "range_min_m": np.where(np.isfinite(nearest), nearest, np.nan),
+        "range_max_m": np.where(np.isfinite(farthest), farthest, np.nan),
+        "width_sd_m": weighted(landmarks.width_sd_m, landmarks.observations, owner, n),
+        "height_sd_m": weighted(landmarks.height_sd_m, landmarks.observations, owner, n),
+        "seen_share": np.where(looks > 0, seen / np.where(looks > 0, looks, 1.0), np.nan),
+    }
+
+
+def building_reports(
+    ordered: Sequence[DriveObservations],
+    shifts: dict[str, Shift],
+    align: bool,
+    merged: Merged,
+    drifts: Sequence[Drift] | None,
+) -> tuple[str, ...]:
+    """Sentences for whoever builds a map: shifts, drift, scans without a pose, disagreement."""
+    reports = []
+    for name, shift in shifts.items():
+        if shift.significant:
+            what = "was aligned by" if align else "disagrees with the drives before it by"
+            hint = "" if align else "; --align would remove it"
+            reports.append(
+                f"drive {name} {what} {shift.move_m[0]:+.2f} m east, {shift.move_m[1]:+.2f} m "
+                f"north ({shift.matches} poles){hint}"
+            )
+    for part, drift in zip(ordered, drifts or (), strict=False):
+        if drift.size_m > 0.1:
+            reports.append(
+                f"drive {part.sightings.drive}: its reference drifts; its passes were levelled by "
+                f"{drift.size_m:.2f} m (rms), which leaves {np.median(drift.sd_m):.2f} m an axis"
+            )
+    lost = sum(part.sightings.without_pose for part in ordered)
+    if lost:
+        reports.append(f"{lost} scans have no reference pose and were left out")
+    error = merged.reference_error
+    if error.pass_sd_m is not None:
+        reports.append(
+            "beyond the detector's own error, poles differ by "
+            f"{error.pass_sd_m:.3f} m between passes of a drive ({error.pass_pairs} meetings) "
+            f"and by {error.drive_sd_m:.3f} m between drives ({error.drive_pairs})"
+            + ("; --align would level them" if error.drive_sd_m > 0.2 and not align else "")
+        )
+    return tuple(reports)

@@ -1,0 +1,1 @@
+"""A stereo frame to the poles that it shows."""

@@ -1,0 +1,199 @@
+"""One frame's poles: disparity pair -> depth edges -> hypotheses -> classified, located."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.detect.classifier import PoleClassifier
+from polemap.detect.config import DetectionConfig
+from polemap.detect.features import Profiles, measure
+from polemap.detect.ground import Ground, fit_ground
+from polemap.detect.hypotheses import Stems, find_slices, find_stems
+from polemap.detect.refine import refine_disparity
+from polemap.detect.visibility import visible_region
+from polemap.drivelog.samples import Image, VisibleRegion
+from polemap.stereo.depth_edges import DepthEdges, depth_edges, upright_maps
+from polemap.stereo.matching import DisparityPair
+from polemap.stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+
+_SHORTEST_M = 0.2
+_FARTHEST = 3.0  # lengths
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """Hypotheses of one frame, one a row, best first.
+
+    Attributes:
+        left_px, right_px, top_px, bottom_px: box in the left image (flanks at mid height).
+        slope: columns a row of the axis, for pictures.
+        disparity_px: of the front surface.
+        points_vehicle_m: `(n, 2)` axis at ground level.
+        covariance_m2: `(n, 2, 2)`.
+        width_m, height_m: `(n,)`; the height is that of the highest evidence above the ground.
+        border: touches the image border, so a flank is assumed.
+        features: `(n, k)`.
+        probability: `(n,)`.
+    """
+
+    left_px: Floats
+    right_px: Floats
+    top_px: Floats
+    bottom_px: Floats
+    slope: Floats
+    disparity_px: Floats
+    points_vehicle_m: Floats
+    covariance_m2: Floats
+    width_m: Floats
+    height_m: Floats
+    border: NDArray[np.bool_]
+    features: Floats
+    probability: Floats
+
+    def __len__(self) -> int:
+        return len(self.probability)
+
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Detections:
+        """The chosen rows."""
+        return Detections(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True)
+class FrameView:
+    """All that one frame showed; `edges` are left and right flanks."""
+
+    detections: Detections
+    ground: Ground
+    edges: tuple[DepthEdges, DepthEdges]
+    region: VisibleRegion
+
+
+def detect(
+    left: Image,
+    right: Image,
+    disparity: DisparityPair,
+    rig: StereoRig,
+    classifier: PoleClassifier | None,
+    config: DetectionConfig,
+) -> FrameView:
+    """Find the poles of one frame.
+
+    Args:
+        left, right: the rectified pair.
+        disparity: both checked maps.
+        rig: its camera.
+        classifier: says how likely a hypothesis is a pole; without one, as for training, all
+            hypotheses are kept with probability 0.5.
+        config: settings.
+    """
+    focal_baseline = rig.focal_px * rig.baseline_m
+    maps = upright_maps(disparity, config.row_step_px)
+    ground = fit_ground(maps, rig)
+    edges = depth_edges(maps, config.step_min_px, config.step_min_m / focal_baseline)
+    stems = find_stems(find_slices(*edges, rig, config), ground, rig, config)
+    profiles = measure(stems, maps, left, ground, rig)
+    probability = np.full(len(stems), 0.5)
+    if classifier is not None:
+        probability = classifier.probability(profiles.features)
+    region = visible_region(maps, ground, rig, config)
+    likely = probability >= config.refine_probability
+    refined, refined_sd = profiles.disparity_px.copy(), profiles.disparity_sd_px.copy()
+    fit = refine_disparity(
+        left,
+        right,
+        profiles.left_px[likely],
+        profiles.right_px[likely],
+        stems.top_px[likely],
+        stems.bottom_px[likely],
+        stems.slope[likely],
+        refined[likely],
+    )
+    refined[likely] = fit.disparity_px
+    # the matcher's own value, where the fit failed, is worth less than it claims
+    refined_sd = np.hypot(refined_sd, config.matcher_sd_px)
+    refined_sd[likely] = np.where(fit.trusted, fit.sd_px, refined_sd[likely])
+    found = _locate(stems, profiles, refined, refined_sd, probability, rig, config)
+    distance = np.hypot(*(found.points_vehicle_m - region.origin_vehicle_m).T)
+    found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
+    found = _suppress(found) if classifier is not None else found
+    return FrameView(found, ground, edges, region)
+
+
+def _locate(
+    stems: Stems,
+    profiles: Profiles,
+    disparity: Floats,
+    disparity_sd: Floats,
+    probability: Floats,
+    rig: StereoRig,
+    config: DetectionConfig,
+) -> Detections:
+    """Axis at ground level in the vehicle frame, with the covariance of the stereo error model."""
+    focal_baseline = rig.focal_px * rig.baseline_m
+    width_m = (profiles.right_px - profiles.left_px) * rig.baseline_m / disparity
+    # what is matched is the front of a cylinder: on average 0.8 radii before its axis
+    axis_m = config.axis_share * width_m
+    surface = focal_baseline / disparity
+    shifted = focal_baseline / (surface + axis_m)
+    camera = rig.camera_points(profiles.foot_column_px, profiles.foot_row_px, shifted)
+    # the foot's row belongs to the surface's depth; the axis stands at the same height
+    camera[:, 1] *= surface / (surface + axis_m)
+    points = rig.vehicle_points(camera)[:, :2]
+    sd_disparity = np.hypot(config.disparity_sd_px, disparity_sd)
+    sd_range = np.hypot(surface**2 / focal_baseline * sd_disparity, config.axis_sd_share * width_m)
+    sd_column = np.hypot(config.column_sd_px, profiles.flank_sd_px / np.sqrt(2.0))
+    sd_across = np.hypot(surface / rig.focal_px * sd_column, config.across_sd_m)
+    # the axis is extended down to the ground: the farther for its length, the worse
+    length_px = np.maximum(stems.bottom_px - stems.top_px, _SHORTEST_M * disparity / rig.baseline_m)
+    extended = profiles.foot_row_px - 0.5 * (stems.bottom_px + stems.top_px)
+    share = np.clip(extended / length_px, 0.0, _FARTHEST)
+    sd_across = np.hypot(sd_across, config.extension_sd_m * share)
+    # what is wide may be two things that stand side by side
+    sd_across = np.hypot(sd_across, config.across_sd_share * width_m)
+    sd_across = np.where(profiles.border, np.hypot(sd_across, 0.25 * width_m + 0.05), sd_across)
+    ray = points - np.array([rig.vehicle_from_camera.x_m, rig.vehicle_from_camera.y_m])
+    ray = ray / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-6)[:, None]
+    across = np.stack([-ray[:, 1], ray[:, 0]], axis=1)
+    covariance = (
+        sd_range[:, None, None] ** 2 * ray[:, :, None] * ray[:, None, :]
+        + sd_across[:, None, None] ** 2 * across[:, :, None] * across[:, None, :]
+    )
+    order = np.argsort(-probability, kind="stable")
+    return Detections(
+        left_px=profiles.left_px,
+        right_px=profiles.right_px,
+        top_px=stems.top_px,
+        bottom_px=stems.bottom_px,
+        slope=stems.slope,
+        disparity_px=disparity,
+        points_vehicle_m=points,
+        covariance_m2=covariance,
+        width_m=width_m,
+        height_m=profiles.top_m,
+        border=profiles.border,
+        features=profiles.features,
+        probability=probability,
+    ).take(order)
+
+
+def _suppress(found: Detections) -> Detections:
+    """Drop what a better hypothesis already explains: the same columns at a similar depth."""
+    if len(found) < 2:
+        return found
+    overlap = np.minimum(found.right_px[:, None], found.right_px) - np.maximum(
+        found.left_px[:, None], found.left_px
+    )
+    width = found.right_px - found.left_px
+    inside = overlap > 0.3 * np.minimum(width[:, None], width)
+    ratio = found.disparity_px[:, None] / found.disparity_px
+    same = inside & (np.abs(np.log(ratio)) < 0.1)
+    keep = np.ones(len(found), dtype=bool)
+    for row in range(len(found)):
+        if keep[row]:
+            keep[row + 1 :] &= ~same[row, row + 1 :]
+    return found.take(keep)

@@ -1,0 +1,281 @@
+"""Depth edges to pole hypotheses: pairs of flanks, grouped along an upright line.
+
+A flank left and a flank right of one disparity bound a slice of an object in one image row. Slices
+above each other form a stem. Stems of one line are joined over gaps (foliage, a car in front), and
+the columns of their flanks are sharpened on the image gradient.
+
+Source: S16, section III-A (contours of depth edges grouped to hypotheses).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.detect.components import components
+from polemap.detect.config import DetectionConfig
+from polemap.detect.ground import Ground
+from polemap.stereo.depth_edges import DepthEdges
+from polemap.stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_ROWS_APART = 4  # slices are linked over so many looked-at rows
+_REACH_PX = 3  # and so many columns
+_DOWN = np.repeat(np.arange(1, _ROWS_APART + 1), 2 * _REACH_PX + 1)
+_ASIDE = np.tile(np.arange(-_REACH_PX, _REACH_PX + 1), _ROWS_APART)
+_SLICES_MIN = 3  # of a stem
+_RANKS = 6  # right flanks that are tried for a left one
+
+
+@dataclass(frozen=True, slots=True)
+class Slices:
+    """Row slices of thin objects: `(n,)` row, first and last column, disparity, flags."""
+
+    row_px: Floats
+    left_px: Floats
+    right_px: Floats
+    disparity_px: Floats
+    far_left_px: Floats
+    far_right_px: Floats
+    occluding_left: Floats
+    occluding_right: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Stems:
+    """Upright groups of slices, one a row of every array.
+
+    The centre line is `column_px + slope * (row - row_px)`; `(n,)` each.
+
+    Attributes:
+        column_px, row_px: a point of the centre line.
+        slope: columns a row.
+        width_px: distance of the flanks.
+        top_px, bottom_px: first and last row with a slice.
+        disparity_px: median over the slices.
+        slices: how many there are.
+        centre_sd_px, width_sd_px, disparity_sd_px: scatter about line, width and disparity.
+        far_left_px, far_right_px: median disparity seen beside it.
+        occluding_left, occluding_right: share of slices with a half-occluded band beside them.
+    """
+
+    column_px: Floats
+    row_px: Floats
+    slope: Floats
+    width_px: Floats
+    top_px: Floats
+    bottom_px: Floats
+    disparity_px: Floats
+    slices: Floats
+    centre_sd_px: Floats
+    width_sd_px: Floats
+    disparity_sd_px: Floats
+    far_left_px: Floats
+    far_right_px: Floats
+    occluding_left: Floats
+    occluding_right: Floats
+
+    def __len__(self) -> int:
+        return len(self.column_px)
+
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Stems:
+        """The chosen rows."""
+        return Stems(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+def find_slices(
+    left: DepthEdges, right: DepthEdges, rig: StereoRig, config: DetectionConfig
+) -> Slices:
+    """Every left flank with the nearest right flank of its disparity in the same row."""
+    stride = float(rig.width_px + 4096)
+    key_left = left.row_px * stride + left.column_px
+    key_right = right.row_px * stride + right.column_px
+    partner = np.full(len(left), -1)
+    first = np.searchsorted(key_right, key_left - 0.5)
+    right_rows = np.append(right.row_px, -1)  # beyond the last there is none
+    open_ = np.arange(len(left))  # no partner yet, and there may be one farther right
+    for rank in range(_RANKS):
+        at = np.minimum(first[open_] + rank, len(right))
+        same = right_rows[at] == left.row_px[open_]
+        open_, at = open_[same], at[same]
+        near = left.near_px[open_]
+        width = right.column_px[at] - left.column_px[open_] + 1.0
+        within = width * rig.baseline_m / near <= 1.3 * config.width_max_m
+        alike = within & (np.abs(right.near_px[at] - near) <= 1.0 + 0.04 * near)
+        partner[open_[alike]] = at[alike]
+        open_ = open_[within & ~alike]
+    one = np.flatnonzero(partner >= 0)
+    two = partner[one]
+    disparity = 0.5 * (left.near_px[one] + right.near_px[two]).astype(np.float64)
+    depth = rig.focal_px * rig.baseline_m / disparity
+    near = (depth <= config.range_max_m * 1.1) & (depth >= config.range_min_m * 0.8)
+    one, two, disparity = one[near], two[near], disparity[near]
+    return Slices(
+        left.row_px[one].astype(np.float64),
+        left.column_px[one].astype(np.float64),
+        right.column_px[two].astype(np.float64),
+        disparity,
+        left.far_px[one].astype(np.float64),
+        right.far_px[two].astype(np.float64),
+        left.occluding[one].astype(np.float64),
+        right.occluding[two].astype(np.float64),
+    )
+
+
+def find_stems(slices: Slices, ground: Ground, rig: StereoRig, config: DetectionConfig) -> Stems:
+    """Groups of slices that could be a pole: upright, thin, tall enough, near the ground."""
+    if len(slices.row_px) == 0:
+        return _fit(slices, np.empty(0, dtype=np.int64), 0)
+    label, count = _link(slices, rig, config)
+    # what has too few slices before outliers are left out has too few after, too
+    label, count = _renumber(label, np.bincount(label, minlength=count) >= _SLICES_MIN)
+    stems = _fit(slices, label, count)
+    tall = (stems.bottom_px - stems.top_px) * rig.baseline_m / stems.disparity_px
+    enough = (stems.slices >= _SLICES_MIN) & (tall >= 0.5 * config.height_min_m)
+    stems, (label, count) = stems.take(enough), _renumber(label, enough)
+    if len(stems) == 0:
+        return stems
+    merged, count = _join(stems, rig, config)
+    label = np.where(label >= 0, merged[label], -1)
+    return _keep(_fit(slices, label, count), ground, rig, config)
+
+
+def _renumber(label: Ints, keep: NDArray[np.bool_]) -> tuple[Ints, int]:
+    """Labels without the groups that are not kept; their members get -1."""
+    number = np.where(keep, np.cumsum(keep) - 1, -1)
+    number = np.append(number, -1)  # what -1 points to
+    return number[label], int(np.count_nonzero(keep))
+
+
+def _link(slices: Slices, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, int]:
+    """Components of slices that follow each other in neighbouring rows."""
+    n = len(slices.row_px)
+    row = (slices.row_px / config.row_step_px).astype(np.int64)
+    row -= row.min()
+    centre = 0.5 * (slices.left_px + slices.right_px)
+    column = np.round(centre).astype(np.int64) + _REACH_PX
+    stride = rig.width_px + 2 * _REACH_PX + 2
+    cells = np.full((int(row.max()) + _ROWS_APART + 1) * stride, -1, dtype=np.int32)
+    at = row * stride + column
+    cells[at] = np.arange(n)
+    other = cells.take(at[:, None] + (_DOWN * stride + _ASIDE)).ravel()
+    hit = np.flatnonzero(other >= 0)
+    one, two = hit // len(_DOWN), other.take(hit).astype(np.int64)
+    width = slices.right_px - slices.left_px + 1.0
+    d1, d2, w1, w2 = (v.take(i) for v in (slices.disparity_px, width) for i in (one, two))
+    alike = np.abs(d1 - d2) <= 0.75 + 0.03 * d1
+    alike &= np.maximum(w1, w2) <= 1.5 * np.minimum(w1, w2) + 2.0
+    return components(n, one[alike], two[alike])
+
+
+def _fit(slices: Slices, label: Ints, count: int) -> Stems:
+    """Line, width and scatter of every group; slices with label -1 are left out."""
+    used = np.flatnonzero(label >= 0)
+    label = label[used]
+    row, left, right = slices.row_px[used], slices.left_px[used], slices.right_px[used]
+    centre = 0.5 * (left + right)
+    width = right - left + 1.0
+    disparity = slices.disparity_px[used]
+    n_used = len(used)
+    weight = np.ones(n_used)
+    plain = np.concatenate([weight, row, centre, width, disparity]).reshape(5, n_used)
+    place = (label + count * np.arange(len(plain))[:, None]).ravel()
+
+    def totals(values: Floats) -> Floats:
+        """Weighted sums of `(k, n)` over every group, `(k, count)`, in a single pass."""
+        k = len(values)
+        weighted = (values * weight).ravel()
+        sums = np.bincount(place[: k * n_used], weights=weighted, minlength=k * count)
+        return sums.astype(np.float64, copy=False).reshape(k, count)
+
+    moments, off = np.empty((2, n_used)), np.empty((3, n_used))
+    for sweep in range(3):
+        sums = totals(plain)
+        n = np.maximum(sums[0], 1.0)
+        row0, column0, mean_width, mean_disparity = sums[1:] / n
+        dv = row - row0[label]
+        np.multiply(dv, dv, out=moments[0])
+        np.multiply(dv, centre, out=moments[1])
+        spread, slope = totals(moments)
+        slope = slope / np.maximum(spread, 1.0)
+        # a short stem says little about its lean: the upright prior shrinks the slope
+        slope = slope * spread / (spread + 200.0)
+        np.subtract(centre - column0[label], slope[label] * dv, out=off[0])
+        np.subtract(width, mean_width[label], out=off[1])
+        np.subtract(disparity, mean_disparity[label], out=off[2])
+        sd = np.sqrt(totals(off * off) / n)
+        if sweep < 2:
+            limit = 2.0 * sd[:2] + 0.6
+            inlier = np.abs(off[0]) <= limit[0].take(label)
+            inlier &= np.abs(off[1]) <= limit[1].take(label)
+            weight = inlier.astype(np.float64)
+    bottom, top = np.full(count, -np.inf), np.full(count, np.inf)
+    inside = np.flatnonzero(weight)
+    np.maximum.at(bottom, label[inside], row[inside])
+    np.minimum.at(top, label[inside], row[inside])
+    sides = [slices.far_left_px, slices.far_right_px]
+    sides += [slices.occluding_left, slices.occluding_right]
+    beside = np.concatenate([values[used] for values in sides]).reshape(4, n_used)
+    far_left, far_right, occluding_left, occluding_right = totals(beside) / n
+    return Stems(
+        column_px=column0,
+        row_px=row0,
+        slope=slope,
+        width_px=mean_width,
+        top_px=top,
+        bottom_px=bottom,
+        disparity_px=mean_disparity,
+        slices=n,
+        centre_sd_px=sd[0],
+        width_sd_px=sd[1],
+        disparity_sd_px=sd[2],
+        far_left_px=far_left,
+        far_right_px=far_right,
+        occluding_left=occluding_left,
+        occluding_right=occluding_right,
+    )
+
+
+def _join(stems: Stems, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, int]:
+    """Components of stems that continue each other over a gap: one line, disparity and width."""
+    lower = stems.row_px[:, None] < stems.row_px[None, :]
+    gap_m = np.maximum(
+        stems.top_px[None, :] - stems.bottom_px[:, None],
+        0.0,
+    ) * (rig.baseline_m / stems.disparity_px[:, None])
+    # both centre lines, and a plain vertical, are extended to the other's centre
+    down = stems.row_px[None, :] - stems.row_px[:, None]
+    across = stems.column_px[None, :] - stems.column_px[:, None]
+    slope = (
+        stems.slope[:, None] * stems.slices[:, None] + stems.slope[None, :] * stems.slices[None, :]
+    ) / (stems.slices[:, None] + stems.slices[None, :])
+    miss = np.abs(across - slope * down)
+    scale = 1.5 + 0.15 * 0.5 * (stems.width_px[:, None] + stems.width_px[None, :])
+    alike = np.abs(stems.disparity_px[:, None] - stems.disparity_px[None, :]) <= (
+        0.6 + 0.025 * stems.disparity_px[:, None]
+    )
+    wide = np.maximum(stems.width_px[:, None], stems.width_px[None, :])
+    thin = np.minimum(stems.width_px[:, None], stems.width_px[None, :])
+    link = lower & alike & (miss <= scale) & (gap_m <= 1.5) & (wide <= 1.6 * thin + 1.5)
+    return components(len(stems), *np.nonzero(link))
+
+
+def _keep(stems: Stems, ground: Ground, rig: StereoRig, config: DetectionConfig) -> Stems:
+    """Drop what cannot be a pole: too short, too wide, too high above the ground, leaning."""
+    per_px = rig.baseline_m / np.maximum(stems.disparity_px, 0.1)
+    height = (stems.bottom_px - stems.top_px) * per_px
+    base = (ground.row_px(stems.column_px, stems.disparity_px) - stems.bottom_px) * per_px
+    width = stems.width_px * per_px
+    good = (height >= config.height_min_m) & (base <= config.base_max_m)
+    good &= base + height >= 0.4  # kerbs
+    good &= (width >= config.width_min_m) & (width <= config.width_max_m)
+    good &= (np.abs(np.arctan(stems.slope)) <= config.lean_max_rad) & (height >= 0.8 * width)
+    kept = stems.take(good)
+    if len(kept) > config.hypotheses_max:
+        tallest = np.argsort(-(kept.slices / kept.disparity_px))[: config.hypotheses_max]
+        kept = kept.take(np.sort(tallest))
+    return kept

@@ -1,0 +1,80 @@
+"""Pole classifiers on disk: JSON that a person can read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from polemap.detect.classifier import PoleClassifier
+from polemap.detect.features import NAMES
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import InputError
+
+_FORMAT = "polemap pole classifier"
+_VERSION = 1
+
+
+def read_classifier(name_or_path: str) -> PoleClassifier:
+    """A built-in classifier by its name, or one from a JSON file.
+
+    Raises:
+        InputError: no such model, not JSON, or made for other features.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".json" and path.name == name_or_path:
+        path = Path(__file__).parent / f"{name_or_path}.json"
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        built_in = sorted(p.stem for p in Path(__file__).parent.glob("*.json"))
+        raise InputError(
+            f"{path}: no such classifier ({error.strerror}); built in: {', '.join(built_in)}"
+        ) from error
+    except ValueError as error:
+        raise InputError(f"{path}: is not JSON ({error})") from error
+    if not isinstance(tree, dict) or tree.get("format") != _FORMAT:
+        raise InputError(f"{path}: is not a '{_FORMAT}' file")
+    if tree.get("format_version") != _VERSION:
+        raise InputError(f"{path}: format_version {tree.get('format_version')}, not {_VERSION}")
+    try:
+        rows = tree["features"]
+        names = tuple(str(row["name"]) for row in rows)
+        mean, scale, weights = (
+            np.array([float(row[key]) for row in rows]) for key in ("mean", "scale", "weight")
+        )
+        bias, origin = float(tree["bias"]), dict(tree["origin"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: a value is missing or not a number ({error})") from error
+    if names != NAMES:
+        strange = sorted(set(names) ^ set(NAMES)) or ["their order"]
+        raise InputError(
+            f"{path}: was trained on other features ({', '.join(strange[:5])}); "
+            "train it again with `polemap train`"
+        )
+    try:
+        return PoleClassifier(names, mean, scale, weights, bias, origin)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def write_classifier(model: PoleClassifier, path: Path) -> None:
+    """Write the model, whole or not at all.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    rows = [
+        {"name": n, "mean": float(m), "scale": float(s), "weight": float(w)}
+        for n, m, s, w in zip(model.names, model.mean, model.scale, model.weights, strict=True)
+    ]
+    tree = {
+        "format": _FORMAT,
+        "format_version": _VERSION,
+        "origin": dict(model.origin),
+        "bias": model.bias,
+        "features": rows,
+    }
+    with atomic_file(Path(path)) as part:
+        part.write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")

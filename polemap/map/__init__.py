@@ -1,0 +1,1 @@
+"""The pole map: landmarks, file formats, cities."""

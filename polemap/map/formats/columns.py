@@ -1,0 +1,146 @@
+"""A pole map as named columns: the names that every format stores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+Columns = dict[str, NDArray[Any]]
+
+# what a pole without a stated accuracy is given, as a survey of street furniture would have it
+DEFAULT_SD_M = 0.2
+DEFAULT_EXISTENCE = 0.9
+
+_WHOLE = ("id", "observations", "drives")
+KNOWN = (
+    "id", "width_m", "height_m", "var_east_m2", "var_north_m2", "cov_east_north_m2",
+    "observations", "drives", "existence",
+)  # fmt: skip
+
+
+def to_columns(pole_map: PoleMap) -> Columns:
+    """The columns of CONTRACT.md (without the geometry), and the extra ones."""
+    columns: Columns = {
+        "id": pole_map.ids,
+        "width_m": pole_map.width_m,
+        "height_m": pole_map.height_m,
+        "var_east_m2": pole_map.covariance_m2[:, 0, 0],
+        "var_north_m2": pole_map.covariance_m2[:, 1, 1],
+        "cov_east_north_m2": pole_map.covariance_m2[:, 0, 1],
+        "observations": pole_map.observations,
+        "drives": pole_map.drives,
+        "existence": pole_map.existence,
+    }
+    return columns | dict(pole_map.extra)
+
+
+def from_columns(
+    frame: EarthFrame,
+    points_m: Floats,
+    columns: Mapping[str, NDArray[Any]],
+    *,
+    extra: Mapping[str, NDArray[Any]] | None = None,
+    notes: tuple[str, ...] = (),
+) -> PoleMap:
+    """A map from columns; those that are missing get stated defaults and a note.
+
+    Raises:
+        InputError: values that a map refuses, or a covariance that is not positive.
+    """
+    n = len(points_m)
+    numbers = {name: _column(columns, name, n) for name in KNOWN}
+    ids = numbers["id"]
+    if ids is not None and not _all_different(ids):
+        raise InputError("pole map: the ids are not unique")
+    covariance, assumed = _covariance(numbers, n)
+    if assumed and n:
+        notes = (*notes, f"{assumed} poles have no covariance: {DEFAULT_SD_M} m an axis is assumed")
+    unknown = np.full(n, np.nan)
+    existence = _default(numbers["existence"], np.full(n, DEFAULT_EXISTENCE))
+    return PoleMap(
+        frame=frame,
+        ids=np.arange(n, dtype=np.int64) if ids is None else ids,
+        points_m=np.asarray(points_m, dtype=np.float64).reshape(-1, 2),
+        covariance_m2=covariance,
+        width_m=_default(numbers["width_m"], unknown),
+        height_m=_default(numbers["height_m"], unknown.copy()),
+        observations=_default(numbers["observations"], np.zeros(n, dtype=np.int64)),
+        drives=_default(numbers["drives"], np.zeros(n, dtype=np.int64)),
+        existence=_filled(existence, DEFAULT_EXISTENCE),
+        extra=dict(extra or {}),
+        notes=notes,
+    )
+
+
+def _all_different(ids: NDArray[Any]) -> bool:
+    """Whether no id stands twice; maps of ours are sorted by id, which needs no sorting."""
+    step = np.diff(ids)
+    if bool((step > 0).all()):
+        return True
+    return bool((np.diff(np.sort(ids)) > 0).all())
+
+
+def _column(columns: Mapping[str, NDArray[Any]], name: str, n: int) -> NDArray[Any] | None:
+    if name not in columns:
+        return None
+    raw = np.asarray(columns[name])
+    if name in _WHOLE and raw.dtype.kind in "iu" and len(raw) == n:
+        return raw if name != "id" else raw.astype(np.int64, copy=False)
+    try:
+        # a lean map of a whole city stays lean
+        values = raw if raw.dtype == np.float32 else np.asarray(raw, dtype=np.float64)
+        if name in _WHOLE:
+            values = np.where(np.isfinite(values), values, 0.0 if name != "id" else np.nan)
+            if name == "id" and not np.isfinite(values).all():
+                return None
+            return values.astype(np.int64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"pole map: column {name} does not hold numbers ({error})") from error
+    if len(values) != n:
+        raise InputError(f"pole map: column {name} has {len(values)} rows, the points {n}")
+    return values
+
+
+def _filled(values: NDArray[Any], default: float) -> NDArray[Any]:
+    unknown = np.isnan(values)
+    return np.where(unknown, values.dtype.type(default), values) if unknown.any() else values
+
+
+def _default(values: NDArray[Any] | None, default: NDArray[Any]) -> NDArray[Any]:
+    return default if values is None else values
+
+
+def _covariance(numbers: Mapping[str, NDArray[Any] | None], n: int) -> tuple[Floats, int]:
+    """Covariances `(n, 2, 2)`, and how many of them had to be assumed."""
+    east, north = numbers["var_east_m2"], numbers["var_north_m2"]
+    if east is None or north is None:
+        covariance = np.zeros((n, 2, 2))
+        covariance[:, 0, 0] = covariance[:, 1, 1] = DEFAULT_SD_M**2
+        return covariance, n
+    cross = _default(numbers["cov_east_north_m2"], np.zeros(n))
+    covariance = np.empty((n, 2, 2), dtype=np.result_type(east, north, cross))
+    finite = all(bool(np.isfinite(values.sum())) for values in (east, north, cross))
+    if finite and bool(((east > 0) & (north > 0) & (east * north > cross**2)).all()):
+        covariance[:, 0, 0], covariance[:, 1, 1] = east, north
+        covariance[:, 0, 1] = covariance[:, 1, 0] = cross
+        return covariance, 0
+    covariance[...] = DEFAULT_SD_M**2 * np.eye(2)
+    given = np.isfinite(east) & np.isfinite(north) & np.isfinite(cross)
+    bad = given & ~((east > 0) & (north > 0) & (east * north > cross**2))
+    if bad.any():
+        row = int(np.flatnonzero(bad)[0])
+        raise InputError(
+            f"pole map: row {row}: covariance {east[row]}, {north[row]}, {cross[row]} is not "
+            "positive definite"
+        )
+    covariance[given, 0, 0], covariance[given, 1, 1] = east[given], north[given]
+    covariance[given, 0, 1] = covariance[given, 1, 0] = cross[given]
+    return covariance, int(n - np.count_nonzero(given))

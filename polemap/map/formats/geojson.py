@@ -1,0 +1,155 @@
+"""Pole maps as GeoJSON (RFC 7946): WGS84 positions, the grid coordinates beside them.
+
+A map in a local frame cannot be WGS84: its positions are the local metres, and the member
+`polemap` says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import (
+    EarthFrame,
+    geographic_from_grid,
+    grid_from_geographic,
+    utm_frame,
+)
+from polemap.map.formats.columns import KNOWN, from_columns, to_columns
+from polemap.map.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+
+
+def to_document(pole_map: PoleMap) -> dict[str, Any]:
+    """The map as a FeatureCollection."""
+    if pole_map.frame.is_utm:
+        place = geographic_from_grid(pole_map.frame, pole_map.points_m)
+        positions = np.round(place[:, ::-1], 10)
+    else:
+        positions = np.round(pole_map.points_m, 5)
+    columns = to_columns(pole_map)
+    columns["east_m"], columns["north_m"] = pole_map.points_m[:, 0], pole_map.points_m[:, 1]
+    values = {name: _plain(column) for name, column in columns.items()}
+    features = [
+        {
+            "type": "Feature",
+            "id": int(pole_map.ids[row]),
+            "geometry": {"type": "Point", "coordinates": positions[row].tolist()},
+            "properties": {name: column[row] for name, column in values.items()},
+        }
+        for row in range(len(pole_map))
+    ]
+    ours: dict[str, Any] = {"format_version": 1, "frame": pole_map.frame.to_dict()}
+    if pole_map.doubtful is not None and len(pole_map.doubtful):
+        ours["doubtful"] = to_document(pole_map.doubtful)
+    return {"type": "FeatureCollection", "polemap": ours, "features": features}
+
+
+def _plain(column: NDArray[Any]) -> list[Any]:
+    """JSON has no NaN: unknown is null."""
+    if column.dtype.kind == "f":
+        return [value if math.isfinite(value) else None for value in column.astype(float).tolist()]
+    return list(column.tolist())
+
+
+def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
+    """A map of ours, or a public inventory of points, from a parsed document.
+
+    Without our member `polemap` the positions are WGS84, and the poles are placed in `frame` if
+    that is a UTM zone, else in the zone of the first one.
+
+    Raises:
+        InputError: no FeatureCollection, or a feature without a usable point.
+    """
+    if not isinstance(document, dict) or document.get("type") != "FeatureCollection":
+        raise InputError("no GeoJSON FeatureCollection")
+    features = document.get("features")
+    if not isinstance(features, list):
+        raise InputError("the FeatureCollection has no features")
+    points = [f for f in features if _geometry(f).get("type") == "Point"]
+    skipped = len(features) - len(points)
+    positions = np.array([_position(feature, row) for row, feature in enumerate(points)])
+    positions = positions.reshape(-1, 2)
+    properties = [feature.get("properties") or {} for feature in points]
+    ours = document.get("polemap")
+    notes = (f"{skipped} features that are not points were left out",) if skipped else ()
+    if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
+        own_frame = EarthFrame.from_dict(ours["frame"])
+        if {"east_m", "north_m"} <= set(properties[0] if properties else ()):
+            positions = np.array([[p.get("east_m"), p.get("north_m")] for p in properties], float)
+        elif own_frame.is_utm:
+            positions = grid_from_geographic(own_frame, positions[:, 1], positions[:, 0])
+        pole_map = _build(own_frame, positions, properties, notes)
+        if "doubtful" in ours:
+            return replace(pole_map, doubtful=from_document(ours["doubtful"], frame))
+        return pole_map
+    return from_inventory(positions, properties, frame, notes)
+
+
+def from_inventory(
+    longitude_latitude: Floats,
+    properties: Sequence[Mapping[str, Any]],
+    frame: EarthFrame | None,
+    notes: tuple[str, ...],
+) -> PoleMap:
+    """A first map from WGS84 points `(n, 2)` that were not made by us."""
+    if len(longitude_latitude) and np.abs(longitude_latitude[:, 1]).max() > 90.0:
+        raise InputError(
+            "a latitude beyond 90 degrees: positions must be WGS84 longitude, latitude"
+        )
+    if frame is None or not frame.is_utm:
+        if not len(longitude_latitude):
+            raise InputError("no points in it")
+        longitude, latitude = longitude_latitude[0]
+        frame = utm_frame(float(latitude), float(longitude))
+    points = grid_from_geographic(frame, longitude_latitude[:, 1], longitude_latitude[:, 0])
+    return _build(frame, points, properties, (*notes, f"imported inventory, placed in {frame}"))
+
+
+def _geometry(feature: Any) -> dict[str, Any]:
+    geometry = feature.get("geometry") if isinstance(feature, dict) else None
+    return geometry if isinstance(geometry, dict) else {}
+
+
+def _position(feature: Mapping[str, Any], row: int) -> list[float]:
+    coordinates: Any = _geometry(feature).get("coordinates")
+    try:
+        position = [float(value) for value in coordinates[:2]]
+    except (TypeError, ValueError):
+        position = []
+    if len(position) != 2 or not all(math.isfinite(value) for value in position):
+        raise InputError(f"feature {row}: coordinates {str(coordinates)[:40]} are no position")
+    return position
+
+
+def _build(
+    frame: EarthFrame,
+    points: Floats,
+    properties: Sequence[Mapping[str, Any]],
+    notes: tuple[str, ...],
+) -> PoleMap:
+    names = {name for entry in properties for name in entry} - {"east_m", "north_m"}
+    columns: dict[str, NDArray[Any]] = {}
+    extra: dict[str, NDArray[Any]] = {}
+    for name in sorted(names):
+        column = [entry.get(name) for entry in properties]
+        numeric = all(value is None or isinstance(value, int | float) for value in column)
+        if name in KNOWN and not numeric:
+            value = next(v for v in column if v is not None and not isinstance(v, int | float))
+            raise InputError(f"property {name} is '{str(value)[:40]}', not a number")
+        if numeric:
+            whole = all(isinstance(value, int) for value in column)
+            values = np.array(column, dtype=np.int64 if whole else np.float64)
+        elif all(isinstance(value, str) for value in column):
+            values = np.array(column, dtype=np.str_)
+        else:
+            continue
+        (columns if name in KNOWN else extra)[name] = values
+    return from_columns(frame, points, columns, extra=extra, notes=notes)

@@ -1,0 +1,139 @@
+"""Pole maps as GeoParquet 1.1: WKB points that load without a loop over the poles."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.formats import geojson
+from polemap.map.formats.columns import KNOWN, from_columns, to_columns
+from polemap.map.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+
+_POINT = np.dtype([("order", "u1"), ("type", "<u4"), ("x", "<f8"), ("y", "<f8")])
+
+
+def to_table(pole_map: PoleMap) -> pa.Table:
+    """The map as a table whose metadata names the geometry's reference system and our frame."""
+    frame = pole_map.frame
+    columns = {name: pa.array(values) for name, values in to_columns(pole_map).items()}
+    columns["geometry"] = _wkb(pole_map.points_m)
+    table = pa.table(columns)
+    geo: dict[str, Any] = {
+        "version": "1.1.0",
+        "primary_column": "geometry",
+        "columns": {
+            "geometry": {
+                "encoding": "WKB",
+                "geometry_types": ["Point"],
+                "crs": CRS.from_epsg(frame.epsg).to_json_dict() if frame.epsg else None,
+            }
+        },
+    }
+    if len(pole_map):
+        low, high = pole_map.points_m.min(axis=0), pole_map.points_m.max(axis=0)
+        geo["columns"]["geometry"]["bbox"] = [*low.tolist(), *high.tolist()]
+    ours: dict[str, Any] = {"format_version": 1, "frame": frame.to_dict()}
+    if pole_map.doubtful is not None and len(pole_map.doubtful):
+        ours["doubtful"] = geojson.to_document(pole_map.doubtful)
+    return table.replace_schema_metadata({"geo": json.dumps(geo), "polemap": json.dumps(ours)})
+
+
+def _wkb(points: Floats) -> pa.Array:
+    packed = np.empty(len(points), dtype=_POINT)
+    packed["order"], packed["type"] = 1, 1
+    packed["x"], packed["y"] = points[:, 0], points[:, 1]
+    offsets = np.arange(len(points) + 1, dtype=np.int32) * _POINT.itemsize
+    if len(points) * _POINT.itemsize >= 2**31:
+        raise InputError(
+            "a map of over 100 million poles does not fit one Parquet column: split it"
+        )
+    return pa.Array.from_buffers(
+        pa.binary(), len(points), [None, pa.py_buffer(offsets), pa.py_buffer(packed)]
+    )
+
+
+def from_table(table: pa.Table, frame: EarthFrame | None) -> PoleMap:
+    """A map from a table of ours, or from any GeoParquet of points in a UTM zone.
+
+    Raises:
+        InputError: no geometry, no frame, or geometries that are not points.
+    """
+    metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
+    try:
+        geo = json.loads(metadata.get("geo", "{}"))
+        ours = json.loads(metadata.get("polemap", "{}"))
+        name = geo.get("primary_column", "geometry")
+        crs = geo.get("columns", {}).get(name, {}).get("crs")
+    except (ValueError, AttributeError) as error:
+        raise InputError(f"the geo metadata cannot be read ({error})") from error
+    if name not in table.column_names:
+        raise InputError(f"column '{name}' is missing, it must hold the points")
+    own = EarthFrame.from_dict(ours["frame"]) if "frame" in ours else _frame_of(crs, frame)
+    points = _points(table.column(name))
+    columns: dict[str, NDArray[Any]] = {}
+    extra: dict[str, NDArray[Any]] = {}
+    for column in table.column_names:
+        if column == name:
+            continue
+        values = _numpy(table.column(column))
+        if values is not None:
+            (columns if column in KNOWN else extra)[column] = values
+    pole_map = from_columns(own, points, columns, extra=extra)
+    if "doubtful" in ours:
+        return replace(pole_map, doubtful=geojson.from_document(ours["doubtful"], frame))
+    return pole_map
+
+
+def _frame_of(crs: Any, frame: EarthFrame | None) -> EarthFrame:
+    if crs is None:
+        if frame is None:
+            raise InputError("it names no reference system and no frame")
+        return frame
+    code = CRS.from_user_input(crs).to_epsg()
+    if code is None:
+        raise InputError("its reference system has no EPSG code")
+    return EarthFrame("utm", code)
+
+
+def _points(column: pa.ChunkedArray) -> Floats:
+    array = column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
+    if isinstance(array, pa.ChunkedArray):
+        array = pa.concat_arrays(array.chunks) if array.num_chunks else pa.array([], pa.binary())
+    n = len(array)
+    points = np.empty((n, 2))
+    if not n:
+        return points
+    if array.null_count:
+        raise InputError("a row has no geometry")
+    array = array.cast(pa.large_binary()) if array.type != pa.large_binary() else array
+    offsets = np.frombuffer(array.buffers()[1], dtype=np.int64)[array.offset : array.offset + n + 1]
+    start, end = int(offsets[0]), int(offsets[-1])
+    if end - start != n * _POINT.itemsize or (np.diff(offsets) != _POINT.itemsize).any():
+        raise InputError("the geometries must be plain 2-D points (WKB)")
+    packed = np.frombuffer(array.buffers()[2], dtype=_POINT, count=n, offset=start)
+    if (packed["order"] != 1).any() or (packed["type"] != 1).any():
+        raise InputError("the geometries must be little-endian 2-D points (WKB)")
+    points[:, 0], points[:, 1] = packed["x"], packed["y"]
+    return points
+
+
+def _numpy(column: pa.ChunkedArray) -> NDArray[Any] | None:
+    if pa.types.is_integer(column.type) and not column.null_count:
+        return np.asarray(column.to_numpy())
+    if pa.types.is_float32(column.type) and not column.null_count:
+        return np.asarray(column.to_numpy())
+    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+        return np.asarray(column.to_numpy(), dtype=np.float64)
+    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+        return np.array([value or "" for value in column.to_pylist()], dtype=np.str_)
+    return None

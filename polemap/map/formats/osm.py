@@ -1,0 +1,189 @@
+"""Pole maps as OpenStreetMap XML or PBF, and nodes of an OpenStreetMap extract as a first map.
+
+The tags are those of OpenStreetMap's own schema; what it has no tag for stands under `polemap:`.
+PBF keeps positions to 1e-7 degrees, a centimetre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from importlib import import_module
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.map.formats.geojson import from_inventory
+from polemap.map.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+
+# tags of nodes that stand up like poles
+POLES = {
+    "highway": {"street_lamp", "traffic_signals"},
+    "power": {"pole"},
+    "natural": {"tree"},
+    "man_made": {"utility_pole", "mast", "flagpole"},
+    "barrier": {"bollard"},
+    "support": {"pole"},
+}
+
+
+def to_xml(pole_map: PoleMap) -> bytes:
+    """The map as an .osm document; ids are negative, as those of objects not yet uploaded are.
+
+    Raises:
+        FrameError: the map is in a local frame.
+    """
+    place = _places(pole_map)
+    root = ElementTree.Element("osm", version="0.6", generator="polemap", upload="false")
+    for row in range(len(pole_map)):
+        node = ElementTree.SubElement(
+            root,
+            "node",
+            id=str(_node_id(pole_map, row)),
+            visible="true",
+            version="1",
+            lat=f"{place[row, 0]:.9f}",
+            lon=f"{place[row, 1]:.9f}",
+        )
+        for key, value in _tags(pole_map, row).items():
+            ElementTree.SubElement(node, "tag", k=key, v=value)
+    ElementTree.indent(root)
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _places(pole_map: PoleMap) -> Floats:
+    """Latitudes and longitudes `(n, 2)`."""
+    if not pole_map.frame.is_utm:
+        raise FrameError(f"OpenStreetMap needs WGS84 positions, but the map is in {pole_map.frame}")
+    return geographic_from_grid(pole_map.frame, pole_map.points_m)
+
+
+def _node_id(pole_map: PoleMap, row: int) -> int:
+    return -(int(pole_map.ids[row]) + 1)
+
+
+def write_pbf(pole_map: PoleMap, path: str) -> None:
+    """Write the map as an .osm.pbf file, sorted as OpenStreetMap sorts negative ids.
+
+    Raises:
+        FrameError: the map is in a local frame.
+    """
+    osmium = import_module("osmium")
+    place = _places(pole_map)
+    header = osmium.io.Header()
+    header.set("generator", "polemap")
+    with osmium.SimpleWriter(osmium.io.File(path, "pbf"), header=header, overwrite=True) as writer:
+        for row in np.argsort(pole_map.ids):
+            latitude, longitude = place[row].tolist()
+            writer.add_node(
+                osmium.osm.mutable.Node(
+                    id=_node_id(pole_map, int(row)),
+                    version=1,
+                    visible=True,
+                    location=(longitude, latitude),
+                    tags=_tags(pole_map, int(row)),
+                )
+            )
+
+
+def read_pbf(path: str, frame: EarthFrame | None) -> PoleMap:
+    """The nodes of an .osm.pbf extract that stand up like poles, as a first map.
+
+    Raises:
+        InputError: no PBF, or no such node in it.
+    """
+    osmium = import_module("osmium")
+    wanted = [(key, value) for key, values in POLES.items() for value in sorted(values)]
+    nodes = []
+    try:
+        # what has none of the tags never leaves the library: an extract of a country is read too
+        for node in osmium.FileProcessor(osmium.io.File(path, "pbf"), osmium.osm.NODE).with_filter(
+            osmium.filter.TagFilter(*wanted)
+        ):
+            place = (node.location.lon, node.location.lat) if node.location.valid() else None
+            nodes.append((node.id, place, dict(node.tags)))
+    except RuntimeError as error:
+        raise InputError(f"not an OpenStreetMap PBF file ({str(error)[:80]})") from error
+    return _from_nodes(nodes, frame)
+
+
+def _tags(pole_map: PoleMap, row: int) -> dict[str, str]:
+    tags = {"man_made": "utility_pole"}
+    if np.isfinite(pole_map.height_m[row]):
+        tags["height"] = f"{pole_map.height_m[row]:.2f}"
+    if np.isfinite(pole_map.width_m[row]):
+        tags["diameter"] = f"{1000 * pole_map.width_m[row]:.0f} mm"
+    sd = np.sqrt(np.trace(pole_map.covariance_m2[row]) / 2.0)
+    tags["polemap:id"] = str(pole_map.ids[row])
+    tags["polemap:sd_m"] = f"{sd:.3f}"
+    tags["polemap:existence"] = f"{pole_map.existence[row]:.3f}"
+    return tags
+
+
+def from_xml(data: bytes, frame: EarthFrame | None) -> PoleMap:
+    """The nodes of an .osm extract that stand up like poles, as a first map.
+
+    Raises:
+        InputError: no OpenStreetMap XML, or no such node in it.
+    """
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise InputError("a document type or entity stands in it; OpenStreetMap files have none")
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        raise InputError(f"not XML ({error})") from error
+    if root.tag != "osm":
+        raise InputError(f"not OpenStreetMap XML: its root is <{root.tag[:40]}>")
+    return _from_nodes(_xml_nodes(root), frame)
+
+
+_Node = tuple[Any, tuple[float, float] | None, dict[str, str]]
+
+
+def _xml_nodes(root: ElementTree.Element) -> Iterator[_Node]:
+    for node in root.iter("node"):
+        tags = {str(tag.get("k")): str(tag.get("v")) for tag in node.iter("tag")}
+        try:
+            place = (float(node.get("lon", "")), float(node.get("lat", "")))
+        except ValueError:
+            yield node.get("id"), None, tags
+        else:
+            yield node.get("id"), place, tags
+
+
+def _from_nodes(nodes: Iterable[_Node], frame: EarthFrame | None) -> PoleMap:
+    positions, properties = [], []
+    for name, place, tags in nodes:
+        if not any(tags.get(key) in values for key, values in POLES.items()):
+            continue
+        if place is None:
+            raise InputError(f"node {name} has no position")
+        positions.append(place)
+        properties.append(_properties(tags))
+    if not positions:
+        raise InputError("no node in it is a lamp, pole, mast, bollard or tree")
+    return from_inventory(np.array(positions), properties, frame, ())
+
+
+def _properties(tags: dict[str, str]) -> dict[str, Any]:
+    return {"height_m": _metres(tags.get("height")), "width_m": _metres(tags.get("diameter"))}
+
+
+def _metres(text: str | None) -> float | None:
+    """A length as OpenStreetMap writes it: metres without a unit, `m`, `cm` or `mm`."""
+    if text is None:
+        return None
+    words = text.replace(",", ".").strip().lower()
+    for unit, scale in (("mm", 0.001), ("cm", 0.01), ("m", 1.0), ("", 1.0)):
+        if words.endswith(unit):
+            try:
+                value = float(words[: len(words) - len(unit)]) * scale
+            except ValueError:
+                continue
+            return value if 0.0 < value < 500.0 else None
+    return None

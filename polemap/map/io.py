@@ -1,0 +1,265 @@
+"""Pole maps on the disk: GeoPackage, GeoJSON, GeoParquet; CSV and public inventories on reading.
+
+The file's ending chooses the format. The frame is stored in every one of ours; `docs/maps.md` has
+the columns.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import warnings
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pyogrio
+import shapely
+
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.tables import read_table
+from polemap.map.formats import geojson, geoparquet, opendrive, osm, qgis
+from polemap.map.formats.columns import KNOWN, from_columns, to_columns
+from polemap.map.landmark_map import PoleMap
+
+LAYER = "poles"
+DOUBTFUL = "doubtful"
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a name for a map that no format has, before the work begins.
+
+    Raises:
+        InputError: the ending is none of ours.
+    """
+    if Path(path).suffix.lower() not in _WRITERS:
+        known = ", ".join(sorted(_WRITERS))
+        raise InputError(f"{path}: a map is written as one of {known}; choose such an ending")
+
+
+def export_map(pole_map: PoleMap, path: Path) -> None:
+    """Write a map in any format, those for other programs (.osm, .osm.pbf, .xodr) included.
+
+    Raises:
+        InputError: an ending that is not known, or a place that cannot be written to.
+        FrameError: the format needs WGS84 and the map is in a local frame.
+    """
+    path = Path(path)
+    writers = _WRITERS | _EXPORTERS
+    if path.suffix.lower() not in writers:
+        known = ", ".join(sorted(writers))
+        raise InputError(f"{path}: a map is exported as one of {known}; choose such an ending")
+    with atomic_file(path) as part:
+        writers[path.suffix.lower()](pole_map, part)
+
+
+def write_map(pole_map: PoleMap, path: Path) -> None:
+    """Write a map; the ending chooses the format.
+
+    Raises:
+        InputError: an ending that is not known, or a place that cannot be written to.
+    """
+    path = Path(path)
+    check_writable(path)
+    with atomic_file(path) as part:
+        _WRITERS[path.suffix.lower()](pole_map, part)
+
+
+def read_map(path: Path, frame: EarthFrame | None = None, *, allow_empty: bool = False) -> PoleMap:
+    """Read a map, in the frame that is asked for.
+
+    Args:
+        path: the file.
+        frame: the drive's frame. A CSV has none of its own and takes this one (with a note); a map
+            in another UTM zone is transformed into it (with a note).
+        allow_empty: accept a map without poles.
+
+    Raises:
+        InputError: unreadable, a column missing, a value out of range, no poles.
+        FrameError: the map's frame is not the drive's, and no transformation leads there.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such map")
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        known = ", ".join(sorted(_READERS))
+        raise InputError(f"{path}: a map ends in one of {known}")
+    try:
+        pole_map = _READERS[suffix](path, frame)
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
+    if not len(pole_map) and not allow_empty:
+        raise InputError(f"{path}: the map holds no poles; build it from a drive that saw some")
+    if frame is None or pole_map.frame == frame:
+        return pole_map
+    if not (frame.is_utm and pole_map.frame.is_utm):
+        raise FrameError(
+            f"{path}: the map is in {pole_map.frame}, the drive in {frame}; no transformation "
+            "leads from one to the other: use a map built in the drive's own frame"
+        )
+    return pole_map.to_frame(frame)
+
+
+def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
+    layers = [LAYER]
+    _write_layer(pole_map, path, LAYER)
+    if pole_map.doubtful is not None and len(pole_map.doubtful):
+        layers.append(DOUBTFUL)
+        _write_layer(pole_map.doubtful, path, DOUBTFUL)
+    rows = qgis.style_rows(
+        {name: pyogrio.read_info(path, name)["geometry_name"] for name in layers}
+    )
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(qgis.TABLE)
+        database.execute(qgis.REGISTER)
+        database.executemany(qgis.INSERT, rows)
+
+
+def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
+    frame = pole_map.frame
+    points = shapely.points(pole_map.points_m)
+    table = geopandas.GeoDataFrame(
+        to_columns(pole_map), geometry=points, crs=frame.epsg if frame.is_utm else None
+    )
+    metadata = {"polemap": json.dumps({"format_version": 1, "frame": frame.to_dict()})}
+    with warnings.catch_warnings():
+        # a local frame has no reference system that other programs know; the metadata name it
+        warnings.filterwarnings("ignore", message="'crs' was not provided")
+        pyogrio.write_dataframe(
+            table, path, layer=layer, driver="GPKG", geometry_type="Point", layer_metadata=metadata
+        )
+
+
+def _read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
+    try:
+        # tables without geometry (styles, say) are no layers of poles
+        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+        layer = LAYER if LAYER in layers else layers[0]
+        pole_map = _read_layer(path, layer, frame)
+        if layer == LAYER and DOUBTFUL in layers:
+            return replace(pole_map, doubtful=_read_layer(path, DOUBTFUL, frame))
+        return pole_map
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, IndexError) as error:
+        raise InputError(f"{path}: not a GeoPackage with a layer of points ({error})") from error
+
+
+def _read_layer(path: Path, layer: str, frame: EarthFrame | None) -> PoleMap:
+    ours = (pyogrio.read_info(path, layer=layer).get("layer_metadata") or {}).get("polemap")
+    table = pyogrio.read_dataframe(path, layer=layer)
+    if not isinstance(table, geopandas.GeoDataFrame) or (table.geom_type != "Point").any():
+        raise InputError(f"{path}: layer '{layer}' does not hold points only")
+    try:
+        own = EarthFrame.from_dict(json.loads(ours)["frame"]) if ours else None
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: the frame in its metadata cannot be read ({error})") from error
+    if own is None and table.crs is not None:
+        if table.crs.is_geographic and len(table):
+            table = table.to_crs(frame.epsg if frame and frame.epsg else table.estimate_utm_crs())
+        own = EarthFrame("utm", table.crs.to_epsg())
+    own = own or frame
+    if own is None:
+        raise InputError(f"{path}: it names no reference system and no frame")
+    columns: dict[str, Any] = {}
+    extra: dict[str, Any] = {}
+    for name in table.columns:
+        if name == table.geometry.name:
+            continue
+        values = table[name].to_numpy()
+        if values.dtype.kind not in "iuf":
+            if name in KNOWN:
+                raise InputError(f"{path}: column {name} does not hold numbers")
+            values = values.astype(np.str_)
+        (columns if name in KNOWN else extra)[str(name)] = values
+    return from_columns(own, shapely.get_coordinates(table.geometry), columns, extra=extra)
+
+
+def _write_geojson(pole_map: PoleMap, path: Path) -> None:
+    document = geojson.to_document(pole_map)
+    path.write_text(json.dumps(document, allow_nan=False, separators=(",", ":")), encoding="utf-8")
+
+
+def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: not JSON ({str(error)[:80]})") from error
+    return geojson.from_document(document, frame)
+
+
+def _write_parquet(pole_map: PoleMap, path: Path) -> None:
+    table = geoparquet.to_table(pole_map)
+    texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
+    # dictionaries of numbers that are all different only cost time, as does a strong compression
+    pyarrow.parquet.write_table(table, path, compression="snappy", use_dictionary=texts)
+
+
+def _read_parquet(path: Path, frame: EarthFrame | None) -> PoleMap:
+    try:
+        table = pyarrow.parquet.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        detail = str(error).splitlines()[0][:100]
+        raise InputError(f"{path}: not a Parquet file ({detail})") from error
+    return geoparquet.from_table(table, frame)
+
+
+def _read_csv(path: Path, frame: EarthFrame | None) -> PoleMap:
+    """`east_m,north_m[,…]`; also `x_m,y_m`, as maps labelled in a local LiDAR frame have."""
+    if frame is None:
+        raise InputError(f"{path}: a CSV map carries no frame; give the drive that it belongs to")
+    names = ("east_m", "north_m")
+    optional = (*KNOWN, "diameter_m")
+    header = read_table(path, (), optional=("x_m", "y_m", *names))
+    if not frame.is_utm and "x_m" in header and "east_m" not in header:
+        names = ("x_m", "y_m")
+    table = read_table(path, names, optional=optional, drop_not_finite=False)
+    columns = {name: table[name] for name in KNOWN if name in table}
+    if "width_m" not in columns and "diameter_m" in table:
+        columns["width_m"] = table["diameter_m"]
+    points = np.stack([table[name] for name in names], axis=1)
+    note = f"{path.name} carries no frame: it is taken to be in {frame}, the drive's"
+    return from_columns(frame, points, columns, notes=(note,))
+
+
+def _write_osm(pole_map: PoleMap, path: Path) -> None:
+    path.write_bytes(osm.to_xml(pole_map))
+
+
+def _read_osm(path: Path, frame: EarthFrame | None) -> PoleMap:
+    return osm.from_xml(path.read_bytes(), frame)
+
+
+def _write_pbf(pole_map: PoleMap, path: Path) -> None:
+    osm.write_pbf(pole_map, str(path))
+
+
+def _read_pbf(path: Path, frame: EarthFrame | None) -> PoleMap:
+    return osm.read_pbf(str(path), frame)
+
+
+def _write_opendrive(pole_map: PoleMap, path: Path) -> None:
+    path.write_bytes(opendrive.to_xml(pole_map))
+
+
+_READERS = {
+    ".gpkg": _read_geopackage,
+    ".geojson": _read_geojson,
+    ".json": _read_geojson,
+    ".parquet": _read_parquet,
+    ".csv": _read_csv,
+    ".osm": _read_osm,
+    ".pbf": _read_pbf,
+}
+_WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
+# for other programs only: they keep less than the whole map
+_EXPORTERS = {".osm": _write_osm, ".pbf": _write_pbf, ".xodr": _write_opendrive}
+MAP_ENDINGS = tuple(sorted(_READERS))

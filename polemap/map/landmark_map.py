@@ -1,0 +1,234 @@
+"""The pole map: landmarks in one earth frame behind a KD-tree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame, transform_points
+from polemap.drivelog.samples import VisibleRegion
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_SAME_LENGTH = (
+    "points_m", "covariance_m2", "width_m", "height_m", "observations", "drives", "existence",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class PoleMap:
+    """Poles of one earth frame; row i of every array is pole i. Arrays are made read-only.
+
+    Attributes:
+        frame: UTM zone or named local frame that the coordinates belong to.
+        ids: `(n,)` stable identifiers.
+        points_m: `(n, 2)` east, north of the axis at ground level.
+        covariance_m2: `(n, 2, 2)`.
+        width_m: `(n,)`, NaN where unknown.
+        height_m: `(n,)`, NaN where unknown.
+        observations: `(n,)` frames that saw it.
+        drives: `(n,)` drives that saw it.
+        existence: `(n,)` probability that it stands there, 0 to 1.
+        extra: further columns `(n,)`, kept by every format (evidence, history).
+        notes: what a user of the map must know (a frame that was assumed, say).
+        doubtful: poles that were removed, or that await proof; kept for the next update only.
+
+    Raises:
+        InputError: arrays of unequal length, coordinates or covariances that are not finite,
+            existence outside 0 to 1.
+    """
+
+    frame: EarthFrame
+    ids: NDArray[np.int64]
+    points_m: Floats
+    covariance_m2: Floats
+    width_m: Floats
+    height_m: Floats
+    observations: NDArray[np.int64]
+    drives: NDArray[np.int64]
+    existence: Floats
+    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    doubtful: PoleMap | None = None
+    _tree: KDTree | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        n = len(self.ids)
+        for name in _SAME_LENGTH:
+            if len(getattr(self, name)) != n:
+                raise InputError(f"pole map: {name} has {len(getattr(self, name))} rows, ids {n}")
+        for name, values in self.extra.items():
+            if len(values) != n:
+                raise InputError(f"pole map: column {name} has {len(values)} rows, ids {n}")
+        if n:
+            self._check_values()
+        for array in (self.ids, *(getattr(self, name) for name in _SAME_LENGTH)):
+            array.setflags(write=False)
+
+    def _check_values(self) -> None:
+        bad = np.flatnonzero(~np.isfinite(self.points_m).all(axis=1))
+        if len(bad):
+            raise InputError(f"pole map: pole {self.ids[bad[0]]} has a position that is not finite")
+        bad = np.flatnonzero(~np.isfinite(self.covariance_m2).all(axis=(1, 2)))
+        if len(bad):
+            raise InputError(f"pole map: pole {self.ids[bad[0]]} has a covariance with a NaN")
+        bad = np.flatnonzero(~((self.existence >= 0.0) & (self.existence <= 1.0)))
+        if len(bad):
+            value = self.existence[bad[0]]
+            raise InputError(f"pole map: pole {self.ids[bad[0]]} has existence {value}, not 0 to 1")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def empty(cls, frame: EarthFrame) -> PoleMap:
+        """A map without poles."""
+        none, whole = np.empty(0), np.empty(0, dtype=np.int64)
+        return cls(
+            frame, whole, np.empty((0, 2)), np.empty((0, 2, 2)), none, none.copy(), whole.copy(),
+            whole.copy(), none.copy(),
+        )  # fmt: skip
+
+    @property
+    def tree(self) -> KDTree | None:
+        """The index over `points_m`, built when it is first asked for; None without poles."""
+        if self._tree is None and len(self):
+            # splitting at the middle builds several times faster, and poles are spread evenly
+            # enough along streets for queries to stay as quick
+            tree = KDTree(self.points_m, balanced_tree=False, compact_nodes=False, leafsize=16)
+            object.__setattr__(self, "_tree", tree)
+        return self._tree
+
+    def within(self, centre_m: ArrayLike, radius_m: float) -> Rows:
+        """Rows of the poles within `radius_m` of `centre_m`, `(2,)`, sorted."""
+        tree = self.tree
+        if tree is None:
+            return np.empty(0, dtype=np.int64)
+        centre = np.asarray(centre_m, dtype=np.float64).reshape(2)
+        return np.array(tree.query_ball_point(centre, radius_m, return_sorted=True), np.int64)
+
+    def within_each(self, centres_m: ArrayLike, radius_m: float) -> tuple[Rows, Rows]:
+        """Pairs (centre, pole row) of all poles within `radius_m` of any centre `(m, 2)`.
+
+        Returns:
+            Two arrays `(k,)`, sorted by centre and then by row.
+        """
+        centres = np.asarray(centres_m, dtype=np.float64).reshape(-1, 2)
+        tree = self.tree
+        if tree is None or not len(centres):
+            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        found: Any = tree.query_ball_point(centres, radius_m, return_sorted=True)
+        count = np.array([len(rows) for rows in found])
+        rows = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in found])
+        return np.repeat(np.arange(len(centres)), count), rows
+
+    def nearest(self, points_m: ArrayLike, limit_m: float = np.inf) -> tuple[Floats, Rows]:
+        """Distance and row of the nearest pole of each point `(m, 2)`.
+
+        Infinite distance and row -1 where none lies within `limit_m`.
+        """
+        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 2)
+        tree = self.tree
+        if tree is None:
+            return np.full(len(points), np.inf), np.full(len(points), -1, dtype=np.int64)
+        distance, row = tree.query(points, distance_upper_bound=limit_m)
+        return np.asarray(distance), np.where(np.isfinite(distance), row, -1).astype(np.int64)
+
+    def in_view(self, pose: ArrayLike, view: VisibleRegion) -> Rows:
+        """Rows of the poles that a sensor at a vehicle pose `(3,)` could see, sorted."""
+        east, north, yaw = (float(value) for value in np.asarray(pose))
+        c, s = np.cos(yaw), np.sin(yaw)
+        origin = view.origin_vehicle_m
+        centre = (east + c * origin[0] - s * origin[1], north + s * origin[0] + c * origin[1])
+        rows = self.within(centre, float(np.max(view.free_range_m)))
+        offset = self.points_m[rows] - (east, north)
+        in_vehicle = np.stack(
+            [c * offset[:, 0] + s * offset[:, 1], -s * offset[:, 0] + c * offset[:, 1]], axis=1
+        )
+        return rows[view.contains(in_vehicle)]
+
+    def rows(self, rows: ArrayLike) -> PoleMap:
+        """A map of some rows (indices or a mask)."""
+        chosen = np.asarray(rows)
+        return replace(
+            self,
+            ids=self.ids[chosen],
+            **{name: getattr(self, name)[chosen] for name in _SAME_LENGTH},
+            extra={name: values[chosen] for name, values in self.extra.items()},
+            _tree=None,
+        )
+
+    def lean(self) -> PoleMap:
+        """The same map with 4-byte numbers where metres do not need 8; for whole cities."""
+        return replace(
+            self,
+            covariance_m2=self.covariance_m2.astype(np.float32),
+            width_m=self.width_m.astype(np.float32),
+            height_m=self.height_m.astype(np.float32),
+            observations=self.observations.astype(np.int32),
+            drives=self.drives.astype(np.int32),
+            existence=self.existence.astype(np.float32),
+        )
+
+    @property
+    def bytes_per_pole(self) -> float:
+        """Memory of the columns a pole, without the index."""
+        arrays = [self.ids, *(getattr(self, name) for name in _SAME_LENGTH), *self.extra.values()]
+        return float(sum(array.nbytes for array in arrays)) / max(len(self), 1)
+
+    def to_frame(self, frame: EarthFrame) -> PoleMap:
+        """The same poles in another UTM zone; covariances are turned and scaled along.
+
+        Raises:
+            FrameError: one of the frames is local and the other is not the same.
+        """
+        if frame == self.frame:
+            return self
+        points = transform_points(self.points_m, self.frame, frame)
+        # one metre is short enough for the difference to be the derivative
+        east = transform_points(self.points_m + np.array([1.0, 0.0]), self.frame, frame)
+        north = transform_points(self.points_m + np.array([0.0, 1.0]), self.frame, frame)
+        jacobian = np.stack([east - points, north - points], axis=-1)
+        covariance = jacobian @ self.covariance_m2 @ jacobian.transpose(0, 2, 1)
+        note = f"transformed from {self.frame} to {frame}"
+        return replace(
+            self,
+            frame=frame,
+            points_m=points,
+            covariance_m2=covariance,
+            notes=(*self.notes, note),
+            doubtful=self.doubtful.to_frame(frame) if self.doubtful is not None else None,
+            _tree=None,
+        )
+
+
+def join_maps(first: PoleMap, second: PoleMap) -> PoleMap:
+    """The rows of two maps of one frame, one after the other; extra columns that both have."""
+
+    def both(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(first, name), getattr(second, name)])
+
+    return PoleMap(
+        frame=first.frame,
+        ids=both("ids"),
+        points_m=both("points_m"),
+        covariance_m2=both("covariance_m2"),
+        width_m=both("width_m"),
+        height_m=both("height_m"),
+        observations=both("observations"),
+        drives=both("drives"),
+        existence=both("existence"),
+        extra={
+            name: np.concatenate([values, second.extra[name]])
+            for name, values in first.extra.items()
+            if name in second.extra
+        },
+        notes=(*first.notes, *second.notes),
+    )

@@ -1,0 +1,1 @@
+"""Poles of single frames to tracks in the vehicle frame."""

@@ -1,0 +1,239 @@
+"""Poles as constant landmarks in the vehicle frame: odometry moves them, detections correct them.
+
+Every track has a position with covariance, a width, and the log-odds that it exists. Tracks and
+detections are assigned optimally within a gate on the squared Mahalanobis distance.
+
+What all disparities share, an error of the camera, is no noise at all: every track keeps how it
+leans on that error (a Schmidt filter's considered state), so that it can be moved when the error
+is known better, and its covariance told with what is not known yet.
+
+Errors of one stem's disparity hardly change from frame to frame, so a frame is not a fresh
+measurement. They are modelled as exponentially correlated with `error_time_s`; a white error of
+variance R (1 + r) / (1 - r), r = exp(-dt / error_time_s), is worth as much in the long run, and
+that is what the filter is told. The first frame of a track counts with R itself.
+
+Source: S16, section III-A; Y. Bar-Shalom et al. 2002, sections 5.2 and 8.2 for filter and
+correlated noise; S. Schmidt 1966 for considered errors; S. Thrun et al. 2005, section 4.2 for the
+log-odds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2
+
+from polemap.track.config import TrackingConfig
+from polemap.track.tracks import Motion, Sighting, Tracks, concatenate, with_changes
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_FORBIDDEN = 1e6
+_LOG_ODDS_LIMIT = 5.0
+_HIT_LIMIT = (-1.5, 2.0)  # one frame's say: a wrong structure is wrong in every frame
+_HEIGHT_MEMORY = 20.0
+_LATE_SHARE = 0.93  # of the free range within which a pole is expected
+
+
+class PoleTracker:
+    """Holds the tracks; `predict` moves them, `update` takes the detections of a moment."""
+
+    def __init__(self, config: TrackingConfig) -> None:
+        self._config = config
+        self._gate = float(chi2.ppf(config.gate_probability, 2))
+        self._next_id = 0
+        self._updated_s: float | None = None
+        self.tracks = Tracks()
+
+    def clear(self) -> None:
+        """Forget all tracks; ids are not used again."""
+        self.tracks = Tracks()
+
+    def predict(self, motion: Motion) -> None:
+        """Move the tracks into the vehicle frame after `motion`, with the noise of odometry."""
+        tracks, config = self.tracks, self._config
+        c, s = np.cos(motion.turn_rad), np.sin(motion.turn_rad)
+        later_from_earlier = np.array([[c, s], [-s, c]])
+        offset = tracks.points_vehicle_m - np.array([motion.forward_m, motion.left_m])
+        points = offset @ later_from_earlier.T
+        dt = abs(motion.dt_s)
+        var_turn = (config.yaw_rate_sd_radps * dt) ** 2
+        var_along = (config.speed_sd_share * motion.distance_m) ** 2
+        var_along += (config.speed_sd_mps * dt) ** 2
+        by_turn = np.stack([points[:, 1], -points[:, 0]], axis=1)
+        noise = var_turn * by_turn[:, :, None] * by_turn[:, None, :]
+        noise[:, 0, 0] += var_along
+        noise += (config.drift_sd_mps * dt) ** 2 * np.eye(2)
+        covariance = later_from_earlier @ tracks.covariance_m2 @ later_from_earlier.T + noise
+        self.tracks = with_changes(
+            tracks,
+            points_vehicle_m=points,
+            covariance_m2=covariance,
+            per_offset_m=tracks.per_offset_m @ later_from_earlier.T,
+        )
+
+    def shift(self, change: float) -> None:
+        """Move all tracks: the error that they share is known to differ by `change` from before."""
+        points = self.tracks.points_vehicle_m + change * self.tracks.per_offset_m
+        self.tracks = with_changes(self.tracks, points_vehicle_m=points)
+
+    def update(self, sighting: Sighting) -> Ints:
+        """Correct, bear, confirm and delete; returns each detection's track id, -1 for none."""
+        config = self._config
+        dt = sighting.stamp_s - self._updated_s if self._updated_s is not None else np.inf
+        self._updated_s = sighting.stamp_s
+        pace = min(max(dt / config.period_s, 0.0), 1.0)  # more frames are not more evidence
+        pairs = self._assign(sighting)
+        tracks = self._correct(pairs, sighting, dt, pace)
+        tracks = self._miss(tracks, sighting, pace)
+        ids = np.full(len(sighting.probability), -1, dtype=np.int64)
+        ids[pairs[1]] = tracks.ids[pairs[0]]
+        free = ids < 0
+        born = np.flatnonzero(free & (sighting.probability >= config.birth_probability))
+        fresh = self._bear(born, sighting)
+        ids[born] = fresh.ids
+        tracks = concatenate(tracks, fresh)
+        existence = tracks.existence
+        sure = (existence >= config.confirm_existence) & (tracks.hits >= config.confirm_hits)
+        confirmed = sure | (tracks.confirmed & (existence >= 0.5))
+        tracks = with_changes(tracks, confirmed=confirmed)
+        alive = existence >= config.delete_existence
+        alive &= sighting.stamp_s - tracks.seen_s <= config.forget_after_s
+        self.tracks = tracks.take(alive)
+        return ids
+
+    def _assign(self, sighting: Sighting) -> tuple[Ints, Ints]:
+        """Rows of tracks and of detections that belong together."""
+        tracks, config = self.tracks, self._config
+        usable = np.flatnonzero(sighting.probability >= config.probability_min)
+        if not len(tracks) or not len(usable):
+            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        offset = tracks.points_vehicle_m[:, None] - sighting.points_vehicle_m[usable]
+        spread = tracks.covariance_m2[:, None] + sighting.covariance_m2[usable]
+        x, y = offset[..., 0], offset[..., 1]
+        xx, xy, yy = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
+        determinant = xx * yy - xy * xy
+        distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
+        apart = tracks.width_m[:, None] - sighting.width_m[usable]
+        width_var = tracks.width_var_m2[:, None] + config.width_sd_m**2
+        width_cost = np.where(np.isnan(apart), 0.0, np.minimum(apart**2 / width_var, 9.0))
+        log_det = np.log(determinant)
+        cost = distance + 0.5 * width_cost + log_det - log_det.min()
+        # an uncertain track must not snatch the detection of a sure one
+        cost = cost - 0.5 * tracks.log_odds[:, None]
+        cost = cost - cost.min() + 1.0
+        allowed = (distance <= self._gate) & (np.hypot(x, y) <= config.gate_max_m)
+        # an empty column a track: it may go without
+        square = np.full((len(tracks), len(usable) + len(tracks)), _FORBIDDEN)
+        square[:, : len(usable)] = np.where(allowed, cost, _FORBIDDEN)
+        square[:, len(usable) :] = np.where(np.eye(len(tracks), dtype=bool), 0.5 * _FORBIDDEN, 2e6)
+        one, two = linear_sum_assignment(square)
+        real = (two < len(usable)) & (square[one, two] < 0.5 * _FORBIDDEN)
+        return one[real].astype(np.int64), usable[two[real]]
+
+    def _correct(
+        self, pairs: tuple[Ints, Ints], sighting: Sighting, dt: float, pace: float
+    ) -> Tracks:
+        tracks, config = self.tracks, self._config
+        one, two = pairs
+        r = np.exp(-max(dt, 1e-3) / config.error_time_s) if config.error_time_s > 0 else 0.0
+        measured = sighting.covariance_m2[two] * (1.0 + r) / (1.0 - r)
+        prior = tracks.covariance_m2[one]
+        # both are symmetric, so the transpose of the solution is the gain
+        gain = np.swapaxes(np.linalg.solve(prior + measured, prior), 1, 2)
+        innovation = sighting.points_vehicle_m[two] - tracks.points_vehicle_m[one]
+        keep = np.eye(2) - gain
+        points = tracks.points_vehicle_m.copy()
+        covariance = tracks.covariance_m2.copy()
+        points[one] += np.einsum("nij,nj->ni", gain, innovation)
+        covariance[one] = keep @ prior @ np.swapaxes(keep, 1, 2) + gain @ measured @ np.swapaxes(
+            gain, 1, 2
+        )
+        shared = tracks.per_offset_m.copy()
+        shared[one] += np.einsum("nij,nj->ni", gain, _shared(sighting)[two] - shared[one])
+        width, width_var = tracks.width_m.copy(), tracks.width_var_m2.copy()
+        seen = sighting.width_m[two]
+        share = width_var[one] / (width_var[one] + config.width_sd_m**2)
+        known = np.isfinite(seen)
+        share = np.where(known, share, 0.0)
+        width[one] += share * (np.where(known, seen, 0.0) - width[one])
+        width_var[one] *= 1.0 - share
+        width_var[one] = np.maximum(width_var[one], (0.3 * config.width_sd_m) ** 2)
+        height = tracks.height_m.copy()
+        tall = sighting.height_m[two]
+        part = 1.0 / np.minimum(tracks.hits[one] + 1.0, _HEIGHT_MEMORY)
+        mixed = np.where(np.isnan(height[one]), tall, height[one] + part * (tall - height[one]))
+        height[one] = np.where(np.isnan(tall), height[one], mixed)
+        log_odds = tracks.log_odds.copy()
+        log_odds[one] += pace * self._evidence(sighting.probability[two])
+        hits, seen_s = tracks.hits.copy(), tracks.seen_s.copy()
+        hits[one] += 1
+        seen_s[one] = sighting.stamp_s
+        detection = np.full(len(tracks), -1, dtype=np.int64)
+        detection[one] = two
+        return with_changes(
+            tracks,
+            points_vehicle_m=points,
+            covariance_m2=covariance,
+            width_m=width,
+            width_var_m2=width_var,
+            height_m=height,
+            log_odds=np.clip(log_odds, -_LOG_ODDS_LIMIT, _LOG_ODDS_LIMIT),
+            hits=hits,
+            seen_s=seen_s,
+            detection=detection,
+            per_offset_m=shared,
+        )
+
+    def _miss(self, tracks: Tracks, sighting: Sighting, pace: float) -> Tracks:
+        """Less belief in what should have been seen and was not."""
+        config, view = self._config, sighting.view
+        missed = tracks.detection < 0
+        if view is not None:
+            # stretched outward, so that a pole at the very end of the view is not expected
+            away = (tracks.points_vehicle_m - view.origin_vehicle_m) / _LATE_SHARE
+            missed &= view.contains(away + view.origin_vehicle_m)
+        step = pace * np.log(1.0 - config.detection_probability)
+        log_odds = np.maximum(tracks.log_odds + np.where(missed, step, 0.0), -_LOG_ODDS_LIMIT)
+        return with_changes(tracks, log_odds=log_odds)
+
+    def _evidence(self, probability: Floats) -> Floats:
+        """Log of how much likelier such a look is at a pole than at another thing."""
+        share = np.array(self._config.pole_share)
+        return np.clip(_logit(probability) - _logit(share), *_HIT_LIMIT)
+
+    def _bear(self, rows: Ints, sighting: Sighting) -> Tracks:
+        count = len(rows)
+        ids = np.arange(self._next_id, self._next_id + count, dtype=np.int64)
+        self._next_id += count
+        width = sighting.width_m[rows]
+        known = np.isfinite(width)
+        stamps = np.full(count, sighting.stamp_s)
+        return Tracks(
+            ids=ids,
+            points_vehicle_m=sighting.points_vehicle_m[rows],
+            covariance_m2=sighting.covariance_m2[rows],
+            width_m=np.where(known, width, 0.2),
+            width_var_m2=np.where(known, self._config.width_sd_m**2, 0.3**2),
+            height_m=sighting.height_m[rows],
+            log_odds=self._evidence(sighting.probability[rows]),
+            hits=np.ones(count, dtype=np.int64),
+            born_s=stamps,
+            seen_s=stamps,
+            confirmed=np.zeros(count, dtype=bool),
+            detection=rows.astype(np.int64),
+            per_offset_m=_shared(sighting)[rows],
+        )
+
+
+def _shared(sighting: Sighting) -> Floats:
+    if sighting.per_offset_m is None:
+        return np.zeros_like(sighting.points_vehicle_m)
+    return sighting.per_offset_m
+
+
+def _logit(probability: Floats) -> Floats:
+    p = np.clip(probability, 1e-4, 1.0 - 1e-4)
+    return np.asarray(np.log(p / (1.0 - p)))

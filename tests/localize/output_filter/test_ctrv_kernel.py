@@ -1,0 +1,110 @@
+"""The plain-float kernel against the array forms of `vehicle`."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from polemap.localize.output_filter.ctrv_kernel import (
+    INDEX,
+    Noise,
+    pack,
+    predict,
+    step,
+    unpack,
+    update,
+    wrap,
+)
+from polemap.vehicle.kalman import innovate, joseph_update
+from polemap.vehicle.motion import ctrv_jacobian, ctrv_process_noise, ctrv_step
+from polemap.vehicle.pose import wrap_angle
+
+NOISE = Noise(2.0, 0.3, 1e-4, along_s=2e-4, yaw_rad2ps=1e-5, scale_1ps=1e-6, offset_rad2ps3=1e-7)
+rates = st.one_of(st.floats(-3.0, 3.0), st.sampled_from([0.0, 1e-12, -1e-12, 1e-7, 4.9, 5.1]))
+
+
+def random_covariance(seed):
+    root = np.random.default_rng(seed).normal(size=(7, 7))
+    return root @ root.T + 0.1 * np.eye(7)
+
+
+def test_packing_keeps_every_entry():
+    covariance = random_covariance(1)
+    packed = pack(covariance)
+    assert len(packed) == 28
+    assert np.array_equal(unpack(packed), covariance)
+    assert all(packed[INDEX[i][j]] == covariance[i, j] for i in range(7) for j in range(7))
+
+
+@given(
+    st.integers(0, 10_000), st.floats(-3.1, 3.1), st.floats(-20.0, 40.0), rates, st.floats(0.0, 0.5)
+)
+def test_prediction_equals_the_array_form(seed, yaw, speed, rate, dt):
+    covariance = random_covariance(seed)
+    mean = (3.0, -4.0, yaw, speed, rate, 0.02, 0.003)
+    moved, upper = predict(mean, pack(covariance), dt, NOISE)
+    transition, added = np.eye(7), np.zeros((7, 7))
+    transition[:5, :5] = ctrv_jacobian(np.array(mean[:5]), dt)
+    added[:5, :5] = ctrv_process_noise(
+        np.array(mean[:5]),
+        dt,
+        acceleration_m2ps3=2.0,
+        yaw_acceleration_rad2ps3=0.3,
+        lateral_m2ps=1e-4 * (speed**2 * rate) ** 2,
+        along_m2ps=2e-4 * speed**2,
+        yaw_rad2ps=1e-5 * min(1.0, speed**2),
+    )
+    added[5, 5], added[6, 6] = 1e-6 * dt, 1e-7 * dt
+    expected = transition @ covariance @ transition.T + added
+    scale = max(1.0, np.abs(expected).max())
+    assert np.allclose(unpack(upper), expected, rtol=1e-12, atol=1e-12 * scale)
+    assert np.allclose(moved[:2], ctrv_step(np.array(mean[:5]), dt)[:2], atol=1e-11)
+    assert wrap_angle(moved[2] - ctrv_step(np.array(mean[:5]), dt)[2]) == pytest.approx(
+        0, abs=1e-12
+    )
+    assert moved[3:] == mean[3:]
+    assert np.allclose(step(mean[:3], speed, rate, dt), moved[:3], atol=1e-11)
+
+
+@pytest.mark.parametrize(("speed", "rate"), [(9.0, 0.4), (-3.0, 0.2), (12.0, -0.05)])
+def test_a_slipping_rear_axle_goes_aside_of_where_the_car_points(speed, rate):
+    slip, dt, quiet = 0.006, 0.3, Noise(0.0, 0.0, 0.0)
+    mean = np.array([3.0, -4.0, 0.7, speed, rate, 0.0, 0.0])
+
+    def moved(state):
+        return np.array(predict(tuple(state.tolist()), pack(np.zeros((7, 7))), dt, quiet, slip)[0])
+
+    turned = mean.copy()
+    turned[2] -= slip * speed * rate
+    plain = np.array(predict(tuple(turned.tolist()), pack(np.zeros((7, 7))), dt, quiet)[0])
+    assert np.allclose(moved(mean)[:2], plain[:2], atol=1e-12)
+    assert moved(mean)[2] == pytest.approx(mean[2] + rate * dt)
+    assert np.allclose(step(tuple(mean[:3]), speed, rate, dt, slip), moved(mean)[:3], atol=1e-12)
+    jacobian = np.stack([(moved(mean + h) - moved(mean - h)) / 2e-6 for h in 1e-6 * np.eye(7)], 1)
+    covariance = random_covariance(5)
+    _, upper = predict(tuple(mean.tolist()), pack(covariance), dt, quiet, slip)
+    assert np.allclose(unpack(upper), jacobian @ covariance @ jacobian.T, rtol=1e-6, atol=1e-6)
+
+
+@given(
+    st.integers(0, 10_000), st.sampled_from([(3, 1.02, 5, 9.0), (4, 1.0, 6, 1.0), (3, 1.0, 5, 0)])
+)
+def test_an_update_equals_the_array_form(seed, row):
+    covariance = random_covariance(seed)
+    mean = (3.0, -4.0, 0.3, 9.0, 0.1, 0.02, 0.003)
+    jacobian = np.zeros((1, 7))
+    jacobian[0, row[0]], jacobian[0, row[2]] = row[1], row[3]
+    noise = np.array([[0.04]])
+    innovation = innovate(np.array([0.2]), covariance, jacobian, noise)
+    expected, expected_p = joseph_update(np.array(mean), covariance, innovation, jacobian, noise)
+    expected[2] = wrap_angle(expected[2])
+    after, upper = update(mean, pack(covariance), row, 0.2, 0.04)
+    assert np.allclose(after, expected, rtol=1e-11, atol=1e-12)
+    assert np.allclose(unpack(upper), expected_p, rtol=1e-9, atol=1e-10)
+    assert np.linalg.eigvalsh(unpack(upper)).min() > 0.0
+
+
+@given(st.floats(-50.0, 50.0))
+def test_wrapping_equals_the_array_form(angle):
+    assert wrap_angle(wrap(angle) - wrap_angle(angle)) == pytest.approx(0.0, abs=1e-13)
+    assert -np.pi <= wrap(angle) < np.pi
