@@ -38,7 +38,7 @@ from polemap.tools.settings import Settings
 
 FRAMES_A_TASK = 20
 # What a detection depends on; the rest of the settings may change without looking again.
-_SEEN_BY = ("stereo", "polemap.detect.detection")
+_SEEN_BY = ("stereo", "polemap.detection")
 
 Advance = Callable[[int], None]
 
