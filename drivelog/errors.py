@@ -1,12 +1,8 @@
-"""The one base of what a user can mend, and its kinds.
+"""What goes wrong with files, earth frames and settings."""
 
-`stereo` and `vehicle` stand below this room and know nothing of it: their `StereoError` and
-`VehicleError` are plain `ValueError`s, which the commands report in the same way.
-"""
+from polemap.errors import PolemapError
 
-
-class PolemapError(Exception):
-    """Base of every error that the user can mend. The message says what, where and how."""
+__all__ = ["ConfigError", "FrameError", "InputError", "PolemapError"]
 
 
 class InputError(PolemapError):

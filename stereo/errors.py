@@ -1,5 +1,7 @@
 """What goes wrong in this room."""
 
+from polemap.errors import PolemapError
 
-class StereoError(ValueError):
+
+class StereoError(PolemapError, ValueError):
     """An image pair, rig or setting that no matcher can work with; the message names it."""

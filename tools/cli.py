@@ -13,9 +13,7 @@ import typer
 from typer import TyperException
 
 from polemap import __version__
-from polemap.drivelog.errors import PolemapError
-from polemap.stereo.errors import StereoError
-from polemap.vehicle.errors import VehicleError
+from polemap.errors import PolemapError
 
 # verb: (module with its function `command`, what it does)
 VERBS = {
@@ -32,7 +30,6 @@ VERBS = {
     "study": ("study", "Rerun a source paper's simulation beside its claims."),
 }
 GOOD, CRASH, USER_ERROR, INTERRUPTED = 0, 1, 2, 130
-USER_ERRORS = (PolemapError, StereoError, VehicleError)
 
 
 def _listed_only() -> None:
@@ -88,7 +85,7 @@ def run(arguments: Sequence[str]) -> int:
         return result if isinstance(result, int) else GOOD
     except TyperException as error:
         return _complain(error.format_message() or "--help lists the verbs")
-    except USER_ERRORS as error:
+    except PolemapError as error:
         return _complain(str(error))
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted; nothing half-written stays under a final name")

@@ -10,8 +10,8 @@ import typer
 
 from polemap.tools import localize, simulate
 from polemap.tools import map as pole_maps
+from polemap.tools.options import ConfigOption, SeedOption, SetOption
 from polemap.tools.report import command as report
-from polemap.tools.settings import ConfigOption, SeedOption, SetOption
 
 WORLD = "park_loop"
 MAP_LAP = "lap_1"

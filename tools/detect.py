@@ -19,9 +19,10 @@ from polemap.evaluation.detections import FrameRecord, Score, record, score_fram
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
 from polemap.perception import Look, PolePerception, looks
+from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
+from polemap.tools.options import ConfigOption, SetOption
 from polemap.tools.progress import progress
-from polemap.tools.settings import ConfigOption, SetOption, Settings, load_settings
 from polemap.vehicle.pose import Pose2D
 
 _COLUMNS = (

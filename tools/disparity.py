@@ -14,9 +14,10 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.images import read_grey
 from polemap.drivelog.samples import Image
+from polemap.settings import load_settings
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher
-from polemap.tools.settings import ConfigOption, SetOption, load_settings
+from polemap.tools.options import ConfigOption, SetOption
 
 _SCALE = 256.0
 _LARGEST = 256

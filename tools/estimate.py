@@ -22,8 +22,8 @@ from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
 from polemap.electric.identify import identify
 from polemap.electric.io import gps_from_truth, read_signal_log
 from polemap.electric.signals import Played, SignalLog, play
+from polemap.settings import first_problem, parse_item, read_tree
 from polemap.tools.progress import progress
-from polemap.tools.settings import first_problem, parse_item, read_tree
 from polemap.vehicle.io import car_names, dump_car, load_car
 from polemap.vehicle.parameters import Car
 

@@ -14,7 +14,7 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
 from polemap.map.io import MAP_ENDINGS, read_map
 from polemap.map.landmark_map import PoleMap
-from polemap.tools.settings import SeedOption
+from polemap.tools.options import SeedOption
 
 Floats = NDArray[np.float64]
 

@@ -12,10 +12,11 @@ from polemap.drivelog.atomic import atomic_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.localize.replay import check_inputs
 from polemap.map.io import read_map
+from polemap.settings import load_settings
 from polemap.tools.looking import Looked, Source, look
 from polemap.tools.monte_carlo import Replay, run_many
+from polemap.tools.options import ConfigOption, SeedOption, SetOption
 from polemap.tools.progress import progress
-from polemap.tools.settings import ConfigOption, SeedOption, SetOption, load_settings
 
 
 def command(

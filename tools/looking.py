@@ -26,6 +26,7 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
+from polemap.settings import Settings
 from polemap.tools.scan_cache import (
     STAGES,
     drive_fingerprint,
@@ -34,7 +35,6 @@ from polemap.tools.scan_cache import (
     read_scans,
     write_scans,
 )
-from polemap.tools.settings import Settings
 
 FRAMES_A_TASK = 20
 # What a detection depends on; the rest of the settings may change without looking again.

@@ -17,6 +17,7 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.map.io import check_writable, export_map, read_map, write_map
 from polemap.map.landmark_map import PoleMap
+from polemap.settings import Settings, load_settings
 from polemap.tools.map_picture import (
     check_picture,
     draw_map,
@@ -24,8 +25,8 @@ from polemap.tools.map_picture import (
     write_localizability,
 )
 from polemap.tools.map_worker import observe_task, open_part, scan
+from polemap.tools.options import ConfigOption, SeedOption, SetOption
 from polemap.tools.progress import progress
-from polemap.tools.settings import ConfigOption, SeedOption, SetOption, Settings, load_settings
 
 
 @dataclass(frozen=True, slots=True)

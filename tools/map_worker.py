@@ -11,8 +11,8 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
+from polemap.settings import Settings
 from polemap.tools.progress import Advance
-from polemap.tools.settings import Settings
 
 
 def open_part(path: Path, lap: str | None, seed: int) -> Drive:

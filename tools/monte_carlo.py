@@ -21,11 +21,11 @@ from polemap.evaluation.metrics import spread, timing_summary
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
 from polemap.map.landmark_map import PoleMap
+from polemap.settings import Settings
 from polemap.tools.looking import Looked, Source
 from polemap.tools.machine import describe_machine
 from polemap.tools.progress import progress
 from polemap.tools.scan_cache import drive_fingerprint, fingerprint
-from polemap.tools.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,13 @@ import typer
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
+from polemap.settings import load_settings
 from polemap.simulate.drive import count_frames, simulate_drive
 from polemap.simulate.kitti_layout import write_kitti_odometry
 from polemap.simulate.kitti_raw_layout import write_kitti_raw
 from polemap.simulate.scenario import scenario_names
+from polemap.tools.options import ConfigOption, SeedOption, SetOption
 from polemap.tools.progress import progress
-from polemap.tools.settings import ConfigOption, SeedOption, SetOption, load_settings
 
 
 def command(

@@ -16,9 +16,10 @@ from polemap.detect.models.io import write_classifier
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
+from polemap.settings import Settings, load_settings
 from polemap.stereo.matching import make_matcher
+from polemap.tools.options import ConfigOption, SetOption
 from polemap.tools.progress import progress
-from polemap.tools.settings import ConfigOption, SetOption, Settings, load_settings
 from polemap.training import (
     Judgement,
     Samples,

@@ -12,9 +12,9 @@ import pytest
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.perception import scan_drive
+from polemap.settings import Settings
 from polemap.tools.looking import tracked
 from polemap.tools.scan_cache import RawScans, drive_fingerprint, raw_scans, read_scans, write_scans
-from polemap.tools.settings import Settings
 
 
 def same(one: PoleScan, two: PoleScan) -> None:

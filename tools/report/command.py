@@ -15,12 +15,12 @@ from polemap.evaluation.results import RouteResult
 from polemap.evaluation.route import evaluate_route, route_systems
 from polemap.evaluation.routes import open_routes
 from polemap.evaluation.runs.io import read_run_set
+from polemap.tools.options import SeedOption
 from polemap.tools.progress import progress
 from polemap.tools.report.sweep_output import sweep_output
 from polemap.tools.report.sweep_spec import parse_sweep
 from polemap.tools.report.sweeps import run_sweeps
 from polemap.tools.report.write import NO_SWEEPS, write_report
-from polemap.tools.settings import SeedOption
 
 
 def command(

@@ -22,8 +22,8 @@ from polemap.evaluation.trajectory import Trajectory
 from polemap.localize.replay import replay
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
+from polemap.settings import Settings
 from polemap.tools.looking import Source, read_looks, tracked
-from polemap.tools.settings import Settings
 
 OUTPUT_SPACING_M = 0.1
 

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from polemap.drivelog.errors import ConfigError
-from polemap.tools.settings import Settings, load_settings
+from polemap.settings import Settings, load_settings
 
 RATES = {"full": 1, "half": 2, "third": 3, "quarter": 4, "fifth": 5}
 

@@ -17,11 +17,11 @@ from polemap.evaluation.results import RouteResult, System, SystemResult
 from polemap.evaluation.route import measure
 from polemap.evaluation.routes import Recording
 from polemap.evaluation.runs.io import Run
+from polemap.settings import Settings
 from polemap.tools.looking import LookJob, Source, do_look, look_jobs, run_jobs, what_is_seen_by
 from polemap.tools.report.sweep_jobs import ReplayJob, do_replay, read_result, thinned
 from polemap.tools.report.sweep_spec import Sweep, SweepValue, settings_of
 from polemap.tools.scan_cache import drive_fingerprint, fingerprint
-from polemap.tools.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)

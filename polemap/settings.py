@@ -1,11 +1,10 @@
-"""All settings in one tree: defaults, then `--config FILE.yaml`, then `--set key=value`."""
+"""All settings in one tree: defaults, then a YAML file, then `key=value` overrides."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -14,17 +13,6 @@ from polemap.drivelog.errors import ConfigError
 from polemap.localize.config import LocalizeConfig
 from polemap.simulate.config import SimulateConfig
 from polemap.stereo.config import StereoConfig
-
-ConfigOption = Annotated[
-    Path | None, typer.Option("--config", help="YAML file that overrides defaults.")
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="Override one default, such as localize.particles=500."),
-]
-SeedOption = Annotated[
-    int, typer.Option("--seed", min=0, help="Makes the run repeatable bit for bit.")
-]
 
 
 class Settings(BaseModel):

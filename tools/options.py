@@ -1,0 +1,19 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="YAML file that overrides defaults.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Override one default, such as localize.particles=500."),
+]
+SeedOption = Annotated[
+    int, typer.Option("--seed", min=0, help="Makes the run repeatable bit for bit.")
+]
