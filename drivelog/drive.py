@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import Image, PoleScan, Sample, StereoFrame
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.stereo.rig import StereoRig
@@ -178,31 +179,23 @@ class Drive:
         Samples that arrive together come in the order of their stamps, and then odometry first:
         a filter knows the motion up to an image before it gets the image.
         """
-        streams = self._streams()
-        if not streams:
-            return
-        arrival = np.concatenate([s[0] for s in streams])
-        stamp = np.concatenate([s[1] for s in streams])
-        kind = np.concatenate([np.full(len(s[0]), k) for k, s in enumerate(streams)])
-        row = np.concatenate([np.arange(len(s[0])) for s in streams])
-        for index in np.lexsort((kind, stamp, arrival)):
-            yield streams[kind[index]][2](int(row[index]))
+        return merge_streams(self._streams())
 
-    def _streams(self) -> list[tuple[Floats, Floats, Any]]:
-        streams: list[tuple[Floats, Floats, Any]] = [
-            (stream.arrival_s, stream.stamp_s, stream.sample)
+    def _streams(self) -> list[SampleRows[Sample]]:
+        streams: list[SampleRows[Sample]] = [
+            SampleRows(stream.arrival_s, stream.stamp_s, stream.sample)
             for stream in (self.odometry, self.gnss)
             if stream is not None
         ]
         if self.reference is not None:
             stamps = self.reference.stamp_s
-            streams.append((stamps, stamps, self.reference.sample))
+            streams.append(SampleRows(stamps, stamps, self.reference.sample))
         if self.scans:
             arrivals = np.array([scan.arrival_s for scan in self.scans])
             stamps = np.array([scan.stamp_s for scan in self.scans])
-            streams.append((arrivals, stamps, self.scans.__getitem__))
+            streams.append(SampleRows(arrivals, stamps, self.scans.__getitem__))
         if self.has_frames:
-            streams.append((self.frame_arrivals_s, self.frame_stamps_s, self.read_frame))
+            streams.append(SampleRows(self.frame_arrivals_s, self.frame_stamps_s, self.read_frame))
         return streams
 
     def _all_stamps(self) -> list[Floats]:

@@ -2,7 +2,7 @@
 
 Scans and fixes arrive late and between odometry samples, so the samples are kept for a while and
 integrated from any stamp to any other. Through a hole the last rates hold on, and the arcs say how
-much of them is blind. (`polemap.odometry_window` serves the tracker, which stops at a hole.)
+much of them is blind. (The tracker, which stops at a hole, has `polemap.track.frame_motion`.)
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from math import cos, inf, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.odometry_window import OdometryWindow
 from polemap.drivelog.samples import OdometrySample
 from polemap.vehicle.motion import sinc
 
@@ -46,9 +47,10 @@ class OdometryHistory:
     def __init__(self, gap_s: float, slip_rad_per_mps2: float = 0.0) -> None:
         self._gap_s = gap_s
         self.slip_rad_per_mps2 = slip_rad_per_mps2
-        self._stamps: list[float] = []
-        self._speeds: list[float] = []
-        self._yaw_rates: list[float] = []
+        self._window = OdometryWindow(_KEEP_S, slack=1.5)
+        self._stamps = self._window.stamps_s
+        self._speeds = self._window.speeds_mps
+        self._yaw_rates = self._window.yaw_rates_radps
         self._x: list[float] = []
         self._y: list[float] = []
         self._yaw: list[float] = []
@@ -60,7 +62,7 @@ class OdometryHistory:
     @property
     def newest_s(self) -> float:
         """Stamp of the newest sample, minus infinity before the first."""
-        return self._stamps[-1] if self._stamps else -inf
+        return self._window.newest_s
 
     def push(self, sample: OdometrySample) -> bool:
         """Append a sample; False if it is not newer than the last or not finite."""
@@ -72,11 +74,11 @@ class OdometryHistory:
         else:
             for track in (self._x, self._y, self._yaw, self._travelled):
                 track.append(0.0)
-        self._stamps.append(sample.stamp_s)
-        self._speeds.append(sample.speed_mps)
-        self._yaw_rates.append(sample.yaw_rate_radps)
-        if self._stamps[0] < sample.stamp_s - 1.5 * _KEEP_S:
-            self._forget(sample.stamp_s - _KEEP_S)
+        self._window.insert(sample)
+        dropped = self._window.forget()
+        if dropped:
+            for track in (self._x, self._y, self._yaw, self._travelled):
+                del track[:dropped]
         return True
 
     def _integrate_to(self, stamp_s: float, speed: float, yaw_rate: float) -> None:
@@ -90,36 +92,12 @@ class OdometryHistory:
         self._yaw.append(self._yaw[-1] + 2.0 * half)
         self._travelled.append(self._travelled[-1] + abs(distance))
 
-    def _forget(self, before_s: float) -> None:
-        first = bisect_right(self._stamps, before_s)
-        for track in (
-            self._stamps,
-            self._speeds,
-            self._yaw_rates,
-            self._x,
-            self._y,
-            self._yaw,
-            self._travelled,
-        ):
-            del track[:first]
-
     def _slip(self, speed_mps: float, yaw_rate_radps: float) -> float:
         return -self.slip_rad_per_mps2 * speed_mps * yaw_rate_radps
 
     def rates_at(self, stamp_s: float) -> tuple[float, float]:
         """Speed and yaw rate at a stamp; zero before the first sample exists."""
-        if not self._stamps:
-            return 0.0, 0.0
-        i = bisect_right(self._stamps, stamp_s)
-        if i == 0:
-            return self._speeds[0], self._yaw_rates[0]
-        if i == len(self._stamps):
-            return self._speeds[-1], self._yaw_rates[-1]
-        share = (stamp_s - self._stamps[i - 1]) / (self._stamps[i] - self._stamps[i - 1])
-        return (
-            self._speeds[i - 1] + share * (self._speeds[i] - self._speeds[i - 1]),
-            self._yaw_rates[i - 1] + share * (self._yaw_rates[i] - self._yaw_rates[i - 1]),
-        )
+        return self._window.rates_at(stamp_s)
 
     def arcs(self, start_s: float, end_s: float, longest_s: float) -> list[Arc]:
         """Arcs from `start_s` to `end_s`; neighbouring samples are joined up to `longest_s`."""

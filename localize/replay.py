@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil, floor
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
 from polemap.evaluation.metrics import accuracy, smoothness, timing_summary
 from polemap.localize.config import LocalizeConfig
@@ -145,18 +146,16 @@ def replay(
     return Run(pf, tuple(updates), kf, output, flags, metrics)
 
 
-def _samples(drive: Drive, scans: Sequence[PoleScan]) -> list[_Input]:
+def _samples(drive: Drive, scans: Sequence[PoleScan]) -> Iterator[_Input]:
     """Odometry, fixes and scans in the order of arrival; odometry first among equals."""
-    rows: list[tuple[float, float, int, _Input]] = []
-    if drive.odometry is not None:
-        odometry = (drive.odometry.sample(row) for row in range(len(drive.odometry)))
-        rows += [(sample.arrival_s, sample.stamp_s, 0, sample) for sample in odometry]
-    if drive.gnss is not None:
-        fixes = (drive.gnss.sample(row) for row in range(len(drive.gnss)))
-        rows += [(sample.arrival_s, sample.stamp_s, 1, sample) for sample in fixes]
-    rows += [(scan.arrival_s, scan.stamp_s, 2, scan) for scan in scans]
-    rows.sort(key=lambda row: row[:3])
-    return [row[3] for row in rows]
+    streams: list[SampleRows[_Input]] = [
+        SampleRows(stream.arrival_s, stream.stamp_s, stream.sample)
+        for stream in (drive.odometry, drive.gnss)
+        if stream is not None
+    ]
+    arrivals = np.array([scan.arrival_s for scan in scans])
+    stamps = np.array([scan.stamp_s for scan in scans])
+    return merge_streams([*streams, SampleRows(arrivals, stamps, scans.__getitem__)])
 
 
 class _Ticks:

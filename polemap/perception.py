@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -14,12 +13,14 @@ from polemap.detect.detection import FrameView, detect
 from polemap.detect.models.io import read_classifier
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.merge import SampleRows, merge_streams
+from polemap.drivelog.odometry_window import OdometryWindow
 from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame, VisibleRegion
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
 from polemap.stereo.rig import StereoRig
 from polemap.track.disparity_offset import DisparityOffset
-from polemap.track.odometry_window import OdometryWindow
+from polemap.track.frame_motion import KEEP_S, motion_between
 from polemap.track.tracking import PoleTracker
 from polemap.track.tracks import Sighting, Tracks
 
@@ -63,12 +64,13 @@ class PolePerception:
         )
         self._tracker = PoleTracker(config.tracking)
         self._offset = DisparityOffset(rig, config.tracking) if rig is not None else None
-        self._odometry = OdometryWindow(gap_max_s=config.tracking.gap_max_s)
+        self._odometry = OdometryWindow(KEEP_S)
         self._stamp_s: float | None = None
 
     def push_odometry(self, sample: OdometrySample) -> None:
         """Take a sample of speed and yaw rate."""
-        self._odometry.push(sample)
+        self._odometry.insert(sample)
+        self._odometry.forget()
 
     def push_frame(self, frame: StereoFrame) -> PoleScan:
         """The poles of a stereo frame; see `look`."""
@@ -151,7 +153,12 @@ class PolePerception:
         """Predict to the sighting's stamp, update, and say what is known now."""
         tracker = self._tracker
         if self._stamp_s is not None:
-            motion = self._odometry.between(self._stamp_s, sighting.stamp_s)
+            motion = motion_between(
+                self._odometry,
+                self._stamp_s,
+                sighting.stamp_s,
+                gap_max_s=self._config.tracking.gap_max_s,
+            )
             if motion is None:  # a hole in the odometry, or a clock that went back
                 tracker.clear()
                 if self._offset is not None:
@@ -256,19 +263,15 @@ def samples_to_see(drive: Drive) -> Iterator[OdometrySample | StereoFrame | Pole
 
     A whole drive lies on disk, so nothing is late here.
     """
-    stamps: list[np.ndarray[Any, Any]] = []
-    makers: list[Callable[[int], OdometrySample | StereoFrame | PoleScan]] = []
+    streams: list[SampleRows[OdometrySample | StereoFrame | PoleScan]] = []
+    # odometry of the same moment first: the motion up to a frame is known before the frame
     if drive.odometry is not None:
-        stamps.append(drive.odometry.stamp_s)
-        makers.append(drive.odometry.sample)
+        stamps = drive.odometry.stamp_s
+        streams.append(SampleRows(stamps, stamps, drive.odometry.sample))
     if drive.has_frames:
-        stamps.append(drive.frame_stamps_s)
-        makers.append(drive.read_frame)
+        stamps = drive.frame_stamps_s
+        streams.append(SampleRows(stamps, stamps, drive.read_frame))
     else:
-        stamps.append(np.array([scan.stamp_s for scan in drive.scans]))
-        makers.append(lambda row: drive.scans[row])
-    kind = np.concatenate([np.full(len(s), k) for k, s in enumerate(stamps)])
-    row = np.concatenate([np.arange(len(s)) for s in stamps])
-    # odometry of the same moment first; and one sample ahead, so that motion is interpolated
-    for index in np.lexsort((kind, np.concatenate(stamps))):
-        yield makers[kind[index]](int(row[index]))
+        stamps = np.array([scan.stamp_s for scan in drive.scans])
+        streams.append(SampleRows(stamps, stamps, drive.scans.__getitem__))
+    return merge_streams(streams)

@@ -8,22 +8,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from polemap.drivelog.odometry_window import OdometryWindow
 from polemap.drivelog.samples import OdometrySample
-from polemap.track.odometry_window import OdometryWindow
+from polemap.track.frame_motion import KEEP_S, motion_between
 
 Floats = NDArray[np.float64]
 
 
 def _odometry(stamps: Floats, speed: float, rate: float) -> OdometryWindow:
-    history = OdometryWindow()
+    history = OdometryWindow(KEEP_S)
     for stamp in stamps:
-        history.push(OdometrySample(float(stamp), float(stamp), speed, rate))
+        history.insert(OdometrySample(float(stamp), float(stamp), speed, rate))
     return history
 
 
 def test_odometry_between_stamps_is_the_arc() -> None:
     history = _odometry(np.arange(0, 2, 0.02), 8.0, 0.3)
-    motion = history.between(0.5, 1.25)
+    motion = motion_between(history, 0.5, 1.25)
     assert motion is not None
     turn = 0.3 * 0.75
     assert motion.turn_rad == pytest.approx(turn)
@@ -34,16 +35,16 @@ def test_odometry_between_stamps_is_the_arc() -> None:
 def test_odometry_with_a_hole_or_running_back_says_nothing() -> None:
     stamps = np.concatenate([np.arange(0, 1, 0.02), np.arange(4, 5, 0.02)])
     history = _odometry(stamps, 8.0, 0.0)
-    assert history.between(0.5, 4.5) is None
-    assert history.between(0.8, 0.5) is None
-    assert history.between(4.2, 4.4) is not None
-    assert OdometryWindow().between(0.0, 0.1) is None
+    assert motion_between(history, 0.5, 4.5) is None
+    assert motion_between(history, 0.8, 0.5) is None
+    assert motion_between(history, 4.2, 4.4) is not None
+    assert motion_between(OdometryWindow(KEEP_S), 0.0, 0.1) is None
 
 
 def test_late_doubled_and_broken_odometry_finds_its_place() -> None:
     history = _odometry(np.array([0.0, 0.2, 0.1, 0.2]), 5.0, 0.0)
-    history.push(OdometrySample(0.15, 0.15, np.nan, 0.0))
-    motion = history.between(0.0, 0.2)
+    history.insert(OdometrySample(0.15, 0.15, np.nan, 0.0))
+    motion = motion_between(history, 0.0, 0.2)
     assert motion is not None
     assert motion.forward_m == pytest.approx(1.0)
 
@@ -54,11 +55,11 @@ def test_recent_odometry_says_what_all_of_it_says() -> None:
     speed, rate = rng.uniform(0, 15, 400), rng.uniform(-0.5, 0.5, 400)
     window = OdometryWindow(keep_s=1e3)
     for row in zip(stamps, stamps, speed, rate, strict=True):
-        window.push(OdometrySample(*map(float, row)))
+        window.insert(OdometrySample(*map(float, row)))
     moved = 0
     for start in rng.uniform(-0.5, stamps[-1] + 0.5, 200):
         end = start + rng.uniform(0.0, 1.5)
-        motion = window.between(start, end)
+        motion = motion_between(window, start, end)
         inside = stamps[(stamps > start - 1.0) & (stamps < end + 1.0)]
         if not len(inside) or np.diff(np.r_[start, inside, end]).max() > 1.0:
             assert motion is None
