@@ -230,7 +230,7 @@ def readers() -> list[Reader]:
     return sorted(found, key=lambda reader: str(reader.name))
 
 
-def open_drive(path: Path, *, seed: int = 0) -> Drive:
+def open_drive(path: str | Path, *, seed: int = 0) -> Drive:
     """Open a drive, of whatever kind it is.
 
     Args:

@@ -57,6 +57,11 @@ class ReferencePose:
     pose: Pose2D
     sd_m: float
 
+    @property
+    def arrival_s(self) -> float:
+        """A reference is made afterwards: in a replay it counts from its own stamp."""
+        return self.stamp_s
+
 
 @dataclass(frozen=True, slots=True)
 class VisibleRegion:

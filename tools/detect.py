@@ -130,7 +130,7 @@ def _look(
             if pictures:
                 name = folder / f"{frame.index:06d}.png"
                 sure = settings.polemap.detection.probability_min
-                write_overlay(name, look, rig, sure, mapped)
+                write_overlay(name, look, sure, mapped)
             advance(1)
     return records
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.samples import Image
 from polemap.perception import Look
-from polemap.stereo.rig import StereoRig
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -23,11 +22,21 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def write_overlay(
-    path: Path, look: Look, rig: StereoRig, probability_min: float, mapped_vehicle_m: Floats | None
+    path: Path, look: Look, probability_min: float, mapped_vehicle_m: Floats | None = None
 ) -> None:
+    """`overlay` as a file."""
+    cv2.imwrite(str(path), overlay(look, probability_min, mapped_vehicle_m))
+
+
+def overlay(look: Look, probability_min: float, mapped_vehicle_m: Floats | None = None) -> Picture:
     """Image with edges, hypotheses, ids and ground; below it the disparity; beside it from above.
 
-    `mapped_vehicle_m`, `(n, 2)`, are the poles of a map in the vehicle frame.
+    Args:
+        probability_min: hypotheses from it on are drawn as poles.
+        mapped_vehicle_m: `(n, 2)`, the poles of a map in the vehicle frame.
+
+    Returns:
+        `(height, width, 3)`, blue first, as OpenCV has it.
     """
     picture = _draw_edges(_grey(look.frame.left), look)
     picture = _draw_hypotheses(picture, look, probability_min)
@@ -36,7 +45,7 @@ def write_overlay(
     above = _from_above(look, probability_min, mapped_vehicle_m)
     scale = stacked.shape[0] / above.shape[0]
     beside = cv2.resize(above, (int(above.shape[1] * scale), stacked.shape[0]))
-    cv2.imwrite(str(path), np.hstack([stacked, beside]))
+    return np.hstack([stacked, beside]).astype(np.uint8, copy=False)
 
 
 def _grey(image: Image) -> Picture:

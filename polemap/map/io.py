@@ -60,7 +60,7 @@ def export_map(pole_map: PoleMap, path: Path) -> None:
         writers[path.suffix.lower()](pole_map, part)
 
 
-def write_map(pole_map: PoleMap, path: Path) -> None:
+def write_map(pole_map: PoleMap, path: str | Path) -> None:
     """Write a map; the ending chooses the format.
 
     Raises:
@@ -72,7 +72,9 @@ def write_map(pole_map: PoleMap, path: Path) -> None:
         _WRITERS[path.suffix.lower()](pole_map, part)
 
 
-def read_map(path: Path, frame: EarthFrame | None = None, *, allow_empty: bool = False) -> PoleMap:
+def read_map(
+    path: str | Path, frame: EarthFrame | None = None, *, allow_empty: bool = False
+) -> PoleMap:
     """Read a map, in the frame that is asked for.
 
     Args:

@@ -1,6 +1,4 @@
-import importlib.util
 import math
-import re
 import threading
 import time
 from dataclasses import replace
@@ -271,19 +269,3 @@ def _after(street):
     for sample in inputs(street):
         localizer.push(sample)
     return localizer
-
-
-def test_the_example_of_the_docs_runs(street):
-    text = (DOCS / "live.md").read_text(encoding="utf-8")
-    shown = re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1)
-    assert shown == (DOCS / "live_example.py").read_text(encoding="utf-8")
-    assert len(shown.split("def drive")[1].strip().splitlines()) <= 20
-    spec = importlib.util.spec_from_file_location("live_example", DOCS / "live_example.py")
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    steered = []
-    example.drive(street.pole_map, iter(inputs(street)), steered.append)
-    assert len(steered) > 100
-    stamps, error = errors(street, [pose for pose in steered if pose.stamp_s > 8.0])
-    assert len(stamps)
-    assert np.median(error) < 0.3

@@ -1,0 +1,95 @@
+"""A drive and a map to poses: recorded drives at once, a car on the road sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from polemap.api.poles import Perception
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import FrameError
+from polemap.drivelog.samples import PoleScan
+from polemap.localize import localizer as live
+from polemap.localize import replay as replays
+from polemap.map.landmark_map import PoleMap
+from polemap.perception import scan_drive
+from polemap.settings import Settings
+
+
+class Localizer(live.Localizer):
+    """A pole map and a stream of samples to a pose at any moment, for use in the car.
+
+    Push odometry, fixes and stereo frames (or scans) as they arrive; ask for the pose whenever it
+    is needed, from another thread if you like.
+
+    Args:
+        pole_map: None localizes by odometry and GNSS alone.
+        car: names wheelbase, camera and antenna. A recording of the same car does, and so does a
+            folder with nothing but a `drive.yaml`.
+        settings: the defaults where not given.
+        seed: of the particle filter.
+        on_update: called with every pose of the particle filter once its fate is known.
+
+    Raises:
+        FrameError: the map is in another frame than the car's drives.
+    """
+
+    def __init__(
+        self,
+        pole_map: PoleMap | None,
+        car: Drive,
+        settings: Settings | None = None,
+        *,
+        seed: int = 0,
+        on_update: Callable[[live.PoseUpdate], None] | None = None,
+    ) -> None:
+        chosen = settings or Settings()
+        if pole_map is not None and pole_map.frame != car.frame:
+            raise FrameError(
+                f"the map is in {pole_map.frame}, the car's drive {car.name} in {car.frame}: "
+                "read the map in the car's frame, read_map(path, car.frame)"
+            )
+        super().__init__(
+            pole_map,
+            chosen.localize,
+            car.wheelbase_m,
+            np.random.default_rng(seed),
+            gnss_antenna_m=car.gnss_antenna_m,
+            perception=Perception(car, chosen) if car.rig is not None else None,
+            on_update=on_update,
+        )
+
+
+def replay(
+    drive: Drive,
+    pole_map: PoleMap | None,
+    settings: Settings | None = None,
+    *,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+) -> replays.Run:
+    """Localize a recorded drive in a map, as a car on the road would have done it.
+
+    Args:
+        drive: with odometry, and images or poles of its own.
+        pole_map: in the drive's frame; None localizes by odometry and GNSS alone.
+        settings: the defaults where not given.
+        seed: of the particle filter; the same seed gives the same poses, bit for bit.
+        progress: called with the number of frames looked at since the last call.
+
+    Returns:
+        The run: `kf`, the 100 Hz output, and `pf`, the particle filter, as trajectories with
+        stamps, poses `(n, 3)` east, north, yaw and covariances; `metrics` as in metrics.json.
+
+    Raises:
+        FrameError: map and drive are in different frames.
+        InputError: the drive lacks what localizing needs, or an image cannot be read.
+    """
+    chosen = settings or Settings()
+    has_poles = drive.has_frames or bool(drive.scans)
+    replays.check_inputs(drive, pole_map, has_poles=has_poles)
+    scans: Sequence[PoleScan] = ()
+    if pole_map is not None:
+        scans = scan_drive(drive, chosen.polemap, progress, stereo=chosen.stereo)
+    return replays.replay(drive, pole_map, scans, chosen.localize, seed=seed)
