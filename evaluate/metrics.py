@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from polemap.drivelog.streams import ReferenceStream
+from polemap.vehicle.kalman import chi_square_quantile
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -76,7 +76,7 @@ def accuracy(
         values = nees(poses[known], true[known], covariance[known])
         if np.isfinite(values).any():
             result["nees_mean"] = float(np.nanmean(values) / 3.0)
-            result["nees_median"] = float(np.nanmedian(values) / chi2.median(3))
+            result["nees_median"] = float(np.nanmedian(values) / chi_square_quantile(0.5, 3))
     sd = reference.sd_at(stamps_s[known])
     if np.isfinite(sd).any():
         result["reference_sd_m"] = float(np.nanmean(sd))

@@ -17,11 +17,11 @@ from math import exp, lgamma, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from polemap.evaluation.laps import Stretch
 from polemap.evaluation.meanpath import MeanPath
 from polemap.evaluation.trajectory import Trajectory
+from polemap.vehicle.kalman import chi_square_quantile
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -203,8 +203,8 @@ def repeatability(parts: Sequence[Deviations]) -> Repeatability:
     freedom = effective_freedom(centred)
     return Repeatability(
         sd_m=sd,
-        low_m=sd * sqrt(freedom / float(chi2.ppf(0.5 + LEVEL / 2, freedom))),
-        high_m=sd * sqrt(freedom / float(chi2.ppf(0.5 - LEVEL / 2, freedom))),
+        low_m=sd * sqrt(freedom / chi_square_quantile(0.5 + LEVEL / 2, freedom)),
+        high_m=sd * sqrt(freedom / chi_square_quantile(0.5 - LEVEL / 2, freedom)),
         unbiased_m=sd / small_sample_factor(freedom),
         population_m=sqrt(total / values),
         freedom=freedom,

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy.stats import chi2
 
 from polemap.evaluation.accuracy import Errors
 from polemap.evaluation.bootstrap import Blocks
@@ -22,6 +21,7 @@ from polemap.evaluation.repeatability import (
 )
 from polemap.evaluation.routes import Route
 from polemap.evaluation.trajectory import Trajectory
+from polemap.vehicle.kalman import chi_square_quantile
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +80,8 @@ class SystemResult:
         root = sqrt(float(np.mean([one.sd_m**2 for one in self.repeatability])))
         if not freedom > 0.0 or not np.isfinite(root):
             return (float("nan"), float("nan"))
-        high = float(chi2.ppf(0.5 + LEVEL / 2, freedom))
-        low = float(chi2.ppf(0.5 - LEVEL / 2, freedom))
+        high = chi_square_quantile(0.5 + LEVEL / 2, freedom)
+        low = chi_square_quantile(0.5 - LEVEL / 2, freedom)
         return (root * sqrt(freedom / high), root * sqrt(freedom / low))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.pose import wrap_angle
@@ -93,7 +93,15 @@ def chi_square_gate(probability: float, dof: int) -> float:
         raise VehicleError(f"gate probability is {probability}, it must lie between 0 and 1")
     if dof < 1:
         raise VehicleError(f"a gate needs at least 1 degree of freedom, not {dof}")
-    return float(chi2.ppf(probability, dof))
+    return chi_square_quantile(probability, dof)
+
+
+def chi_square_quantile(probability: float, dof: float) -> float:
+    """Value that a chi-square variable of `dof` degrees of freedom keeps with `probability`.
+
+    It is `scipy.stats.chi2.ppf` without the second that importing `scipy.stats` takes.
+    """
+    return float(2.0 * gammaincinv(0.5 * dof, probability))
 
 
 def symmetric(matrix: Floats) -> Floats:

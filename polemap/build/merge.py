@@ -16,16 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.stats import chi2
 
 from polemap.build.config import MappingConfig
 from polemap.build.passes import PassLandmarks
 from polemap.build.robust_means import weighted_mean
+from polemap.vehicle.kalman import chi_square_quantile
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-_MEDIAN = float(chi2.median(2))
+_MEDIAN = chi_square_quantile(0.5, 2)
 _PAIRS_MIN = 20  # fewer meetings do not measure an error
 
 
@@ -183,7 +183,7 @@ def cluster(
     offset = landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]]
     both = spread[pairs[:, 0]] + spread[pairs[:, 1]]
     likeness = np.sum(offset * np.linalg.solve(both, offset[..., None])[..., 0], axis=1)
-    gate = float(chi2.ppf(config.merge_probability, 2))
+    gate = chi_square_quantile(config.merge_probability, 2)
     usable = (likeness <= gate) & ~_listed(pairs, apart, n)
     pairs, likeness = pairs[usable], likeness[usable]
     # ties are broken by place, never by row: the order in which drives come must not matter

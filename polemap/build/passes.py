@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
 from polemap.build.config import MappingConfig
 from polemap.build.robust_means import mean_of_sightings, median_and_sd
 from polemap.build.sightings import Sightings
+from polemap.vehicle.kalman import chi_square_quantile
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -75,7 +75,7 @@ def associate(sightings: Sightings, config: MappingConfig) -> Whole:
     Each look is matched one-to-one with the landmarks that are in sight (optimal assignment on
     gated Mahalanobis distances), so that two poles beside each other stay two.
     """
-    gate = float(chi2.ppf(config.gate_probability, 2))
+    gate = chi_square_quantile(config.gate_probability, 2)
     numbers = np.full(len(sightings), -1, dtype=np.int64)
     book = _Book(len(sightings))
     starts = np.searchsorted(sightings.look, np.arange(len(sightings.looks) + 1))

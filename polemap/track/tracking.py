@@ -22,10 +22,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
 from polemap.track.config import TrackingConfig
 from polemap.track.tracks import Motion, Sighting, Tracks, concatenate, with_changes
+from polemap.vehicle.kalman import chi_square_quantile
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -42,7 +42,7 @@ class PoleTracker:
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
-        self._gate = float(chi2.ppf(config.gate_probability, 2))
+        self._gate = chi_square_quantile(config.gate_probability, 2)
         self._next_id = 0
         self._updated_s: float | None = None
         self.tracks = Tracks()

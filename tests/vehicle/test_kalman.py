@@ -1,14 +1,18 @@
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.kalman import (
     angle_residual,
     chi_square_gate,
+    chi_square_quantile,
     innovate,
     is_covariance,
     joseph_update,
@@ -114,3 +118,15 @@ def test_normalized_error_of_unusable_input_is_nan():
     assert normalized_error(np.array([3.0, 4.0]), np.eye(2)) == 25.0
     assert math.isnan(normalized_error(np.array([np.nan, 0.0]), np.eye(2)))
     assert math.isnan(normalized_error(np.ones(2), np.zeros((2, 2))))
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 5, 2.5, 17.3, 400.0])
+def test_the_quantile_is_that_of_scipy(dof: float) -> None:
+    for probability in (0.001, 0.025, 0.5, 0.9, 0.975, 0.9999):
+        assert chi_square_quantile(probability, dof) == chi2.ppf(probability, dof)
+
+
+def test_the_localizer_does_not_wait_for_scipy_stats() -> None:
+    text = "import sys, polemap.localize.localizer; print('scipy.stats' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
