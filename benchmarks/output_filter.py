@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from polemap.evaluation.metrics import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import unpack
 from polemap.localize.output_filter.filter import OutputFilter
 from polemap.localize.replay import replay
 from polemap.simulate.point_drive import PointDrive, PointPose, point_drive
 from polemap.simulate.pole_street import pole_street
+from polemap.vehicle.packed import unpack
 
 Floats = NDArray[np.float64]
 Event = tuple[float, int, Any]

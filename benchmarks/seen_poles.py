@@ -32,7 +32,7 @@ from polemap.map.landmark_map import PoleMap
 from polemap.perception import Look, PolePerception
 from polemap.simulate.truth import true_map
 from polemap.stereo.rig import StereoRig
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import inverse_transform_points
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def judge(job: tuple[str, int, float]) -> dict[str, float]:
         sure = look.tracks.confirmed & (look.tracks.detection >= 0)
         points, covariance = look.tracks.points_vehicle_m[sure], look.tracks.covariance_m2[sure]
         near = truth.within(pose[:2], 40.0)
-        real = Pose2D(*pose.tolist()).inverse().transform(truth.points_m[near])
+        real = inverse_transform_points(pose, truth.points_m[near])
         for one, two in zip(*match(real, points, 1.0), strict=True):
             error = points[two] - real[one]
             nees.append(float(error @ np.linalg.solve(covariance[two], error)) / 2.0)
@@ -101,7 +101,7 @@ def shown_by_truth(
 ) -> NDArray[np.int64]:
     """Rows of the map whose own pixels carry their disparity at half or more of their heights."""
     near = truth.within(np.asarray(pose[:2]), 40.0)
-    points = Pose2D(*pose.tolist()).inverse().transform(truth.points_m[near])
+    points = inverse_transform_points(pose, truth.points_m[near])
     disparity = look.disparity.left
     height, width = disparity.shape
     shown = []

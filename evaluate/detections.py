@@ -23,7 +23,7 @@ from polemap.map.landmark_map import PoleMap
 from polemap.perception import Look
 from polemap.stereo.matching import DisparityPair
 from polemap.stereo.rig import StereoRig
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import inverse_transform_points, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -84,13 +84,13 @@ class FrameRecord:
     """What is kept of a frame for scoring, all in the vehicle frame.
 
     Attributes:
-        pose: rear axle in the map.
+        pose: `(3,)` rear axle in the map.
         shown: `(p,)` rows of the map that the disparity shows.
         points_vehicle_m: `(n, 2)` detections.
         ids: `(m,)` ids of the tracks in the scan, with `tracked_vehicle_m` `(m, 2)`.
     """
 
-    pose: Pose2D
+    pose: Floats
     shown: NDArray[np.int64]
     points_vehicle_m: Floats
     ids: NDArray[np.int64]
@@ -102,14 +102,13 @@ def record(
     look: Look, pose: Floats, pole_map: PoleMap, rig: StereoRig, config: DetectionConfig
 ) -> FrameRecord:
     """Reduce a look to what scoring needs; `pose` is `(3,)` of the rear axle in the map."""
-    place = Pose2D(*(float(value) for value in pose))
     near = pole_map.within(np.asarray(pose[:2], dtype=np.float64), config.range_max_m + 5.0)
-    points = place.inverse().transform(pole_map.points_m[near])
+    points = inverse_transform_points(pose, pole_map.points_m[near])
     share = evidence(points, look.disparity, look.view.ground, rig)
     found = look.view.detections
     sure = found.probability >= config.probability_min
     return FrameRecord(
-        place,
+        np.asarray(pose, dtype=np.float64),
         near[share >= _EVIDENCE_SHARE],
         found.points_vehicle_m[sure],
         look.scan.ids,
@@ -155,13 +154,15 @@ def score_frames(
     across: list[list[float]] = [[] for _ in bands_m]
     along: list[list[float]] = [[] for _ in bands_m]
     for item in records:
-        near = pole_map.within(np.array([item.pose.x_m, item.pose.y_m]), 80.0)
-        mapped = item.pose.inverse().transform(pole_map.points_m[near]) - item.origin_vehicle_m
+        near = pole_map.within(item.pose[:2], 80.0)
+        mapped = (
+            inverse_transform_points(item.pose, pole_map.points_m[near]) - item.origin_vehicle_m
+        )
         seen = item.points_vehicle_m - item.origin_vehicle_m
         one, two = match(mapped, seen, MATCH_M)
         lacking = np.empty((0, 2))
         if unmapped_m is not None and len(unmapped_m):
-            lacking = item.pose.inverse().transform(unmapped_m) - item.origin_vehicle_m
+            lacking = inverse_transform_points(item.pose, unmapped_m) - item.origin_vehicle_m
         free = np.setdiff1d(np.arange(len(seen)), two)
         excused = free[match(lacking, seen[free], MATCH_M)[1]]
         shown = np.isin(near, item.shown)
@@ -201,12 +202,12 @@ def score_tracks(
     places: dict[int, list[Floats]] = defaultdict(list)
     rays: dict[int, list[Floats]] = defaultdict(list)
     for item in records:
-        mapped = item.pose.inverse().transform(pole_map.points_m[item.shown])
+        mapped = inverse_transform_points(item.pose, pole_map.points_m[item.shown])
         for pole, away in zip(item.shown, _range(mapped, item), strict=True):
             times_shown[int(pole)] += bool(band_m[0] <= away < band_m[1])
-        points = item.pose.transform(item.tracked_vehicle_m)
+        points = transform_points(item.pose, item.tracked_vehicle_m)
         reach = _range(item.tracked_vehicle_m, item)
-        camera = item.pose.transform(item.origin_vehicle_m)
+        camera = transform_points(item.pose, item.origin_vehicle_m)
         for track, point, away in zip(item.ids, points, reach, strict=True):
             if band_m[0] <= away < band_m[1]:
                 places[int(track)].append(point)

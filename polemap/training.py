@@ -24,7 +24,7 @@ from polemap.drivelog.errors import FrameError, InputError
 from polemap.map.landmark_map import PoleMap
 from polemap.stereo.matching import StereoMatcher
 from polemap.track.disparity_offset import with_disparity
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import transform_points
 
 Floats = NDArray[np.float64]
 
@@ -132,23 +132,21 @@ def collect(
         raise InputError(f"training: drive {drive.name} needs images and a reference")
     count = len(drive.frame_stamps_s)
     poses = drive.reference.at(drive.frame_stamps_s)
-    looks: list[tuple[Pose2D, Floats, Floats, int]] = []
+    looks: list[tuple[Floats, Floats, Floats, int]] = []
     for row in range(0, count, config.every):
         if not np.isfinite(poses[row]).all():
             continue
         frame = drive.read_frame(row)
         disparity = matcher.match(frame.left, frame.right)
         found = detect(frame.left, frame.right, disparity, drive.rig, None, detection).detections
-        looks.append(
-            (Pose2D(*poses[row]), found.points_vehicle_m, found.features, row * parts // count)
-        )
+        looks.append((poses[row], found.points_vehicle_m, found.features, row * parts // count))
         if progress is not None:
             progress(config.every)
     # a camera out of true puts far poles beside the map's, which would be taken for other things
     offset_px = offset_from_map([look[:2] for look in looks], pole_map, drive.rig)
     features, labels, groups, poles = [], [], [], []
     for pose, seen, measured, part in looks:
-        points = pose.transform(with_disparity(seen, offset_px, drive.rig))
+        points = transform_points(pose, with_disparity(seen, offset_px, drive.rig))
         slack = config.per_range * np.hypot(*seen.T)
         nearest, distance = _nearest(points, pole_map.points_m)
         is_pole = distance <= config.pole_within_m + slack

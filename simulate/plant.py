@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import copysign, cos, hypot, isfinite, sin
+from math import copysign, hypot, isfinite
 
 from polemap.drivelog.errors import ConfigError
-from polemap.vehicle.tyre import brush_force, wheel_frame
+from polemap.vehicle.packed import rotate, rotate_back, transform_point
+from polemap.vehicle.slip import velocity_at
+from polemap.vehicle.tyre import brush_force
 
 GRAVITY_MPS2 = 9.81
 FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
@@ -179,15 +181,14 @@ class Plant:
         wheels, driving = [], []
         loads = self.wheel_loads_n(s.load_ax_mps2, s.load_ay_mps2)
         standing = self.wheel_loads_n(0.0, 0.0)
-        c, si = cos(s.yaw_rad), sin(s.yaw_rad)
+        pose = (s.east_m, s.north_m, s.yaw_rad)
         for i, (x, y) in enumerate(self._hubs):
             angle = steer if i < REAR_LEFT else 0.0
-            hub_x, hub_y = wheel_frame(
-                s.vx_mps - s.yaw_rate_radps * y, s.vy_mps + s.yaw_rate_radps * x, angle
-            )
+            hub = velocity_at(s.vx_mps, s.vy_mps, s.yaw_rate_radps, x, y)
+            hub_x, hub_y = rotate_back(*hub, angle)
             rim = p.wheel_radius_m * s.wheel_radps[i]
             base = max(abs(rim), abs(hub_x), SLIP_SPEED_FLOOR_MPS)
-            mu = self.friction(s.east_m + c * x - si * y, s.north_m + si * x + c * y)
+            mu = self.friction(*transform_point(pose, x, y))
             share = loads[i] / standing[i]
             cornering = p.cornering_front_n if i < REAR_LEFT else p.cornering_rear_n
             along, across = brush_force(
@@ -197,8 +198,7 @@ class Plant:
                 cornering * share,
                 mu * loads[i],
             )
-            body_x = cos(angle) * along - sin(angle) * across
-            body_y = sin(angle) * along + cos(angle) * across
+            body_x, body_y = rotate(along, across, angle)
             force_x += body_x
             force_y += body_y
             moment += x * body_y - y * body_x
@@ -212,10 +212,11 @@ class Plant:
         yaw_rate = s.yaw_rate_radps + dt * yaw_acceleration
         vx = s.vx_mps + dt * (ax + s.vy_mps * yaw_rate)
         vy = s.vy_mps + dt * (ay - s.vx_mps * yaw_rate)
+        east_mps, north_mps = rotate(vx, vy, s.yaw_rad)
         return PlantState(
             time_s=s.time_s + dt,
-            east_m=s.east_m + dt * (c * vx - si * vy),
-            north_m=s.north_m + dt * (si * vx + c * vy),
+            east_m=s.east_m + dt * east_mps,
+            north_m=s.north_m + dt * north_mps,
             yaw_rad=s.yaw_rad + dt * yaw_rate,
             vx_mps=vx,
             vy_mps=vy,

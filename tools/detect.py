@@ -23,7 +23,7 @@ from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
 from polemap.tools.options import ConfigOption, SetOption
 from polemap.tools.progress import progress
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import inverse_transform_points
 
 _COLUMNS = (
     *("frame", "stamp_s", "left_px", "right_px", "top_px", "bottom_px", "disparity_px"),
@@ -126,7 +126,7 @@ def _look(
             if known is not None and pose is not None and placed:
                 records.append(record(look, pose, known, rig, settings.polemap.detection))
                 near = known.within(pose[:2], 40.0)
-                mapped = Pose2D(*pose).inverse().transform(known.points_m[near])
+                mapped = inverse_transform_points(pose, known.points_m[near])
             if pictures:
                 name = folder / f"{frame.index:06d}.png"
                 sure = settings.polemap.detection.probability_min

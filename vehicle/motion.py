@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polemap.vehicle.pose import shift_forward, wrap_angle
+from polemap.vehicle.pose import move_reference_point, rotation, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -33,26 +33,51 @@ def sinc_slope(angle_rad: ArrayLike) -> Floats:
     return np.where(small, series, (safe * np.cos(safe) - np.sin(safe)) / (safe * safe))
 
 
-def move_along_arc(poses: ArrayLike, distance_m: ArrayLike, turn_rad: ArrayLike) -> Floats:
+def arc_displacement(
+    yaw_rad: ArrayLike,
+    distance_m: ArrayLike,
+    turn_rad: ArrayLike,
+    sideslip_rad: Floats | float = 0.0,
+    left_m: Floats | float = 0.0,
+) -> Floats:
+    """How far an arc leads east and north, `(..., 2)`.
+
+    Args:
+        yaw_rad: `(...)` where the arc begins.
+        distance_m: `(...)` signed length of the arc.
+        turn_rad: `(...)` angle turned on it, counter-clockwise positive.
+        sideslip_rad: `(...)` direction of the motion less the yaw, left positive; the rear axle
+            slips outward in a bend (`slip.axle_sideslip_rad`).
+        left_m: `(...)` moved aside of that direction.
+
+    Source: S16 (1)-(6), in the form without the division by the yaw rate (ERRATA, Odometry).
+    """
+    half = 0.5 * np.asarray(turn_rad, dtype=np.float64)
+    chord = np.asarray(distance_m, dtype=np.float64) * sinc(half)
+    way = np.asarray(yaw_rad, dtype=np.float64) + half + sideslip_rad
+    c, s = np.cos(way), np.sin(way)
+    return np.stack([chord * c - left_m * s, chord * s + left_m * c], axis=-1)
+
+
+def move_along_arc(
+    poses: ArrayLike, distance_m: ArrayLike, turn_rad: ArrayLike, sideslip_rad: Floats | float = 0.0
+) -> Floats:
     """Rear-axle poses moved along a circular arc.
 
     Args:
         poses: `(..., 3)` east, north, yaw of the rear axle.
         distance_m: `(...)` signed length of the arc.
         turn_rad: `(...)` angle turned on it, counter-clockwise positive.
+        sideslip_rad: `(...)` as in `arc_displacement`.
 
     Returns:
         `(..., 3)`, yaw wrapped to [-pi, pi).
-
-    Source: S16 (1)-(6), in the form without the division by the yaw rate (ERRATA, Odometry).
     """
     start = np.asarray(poses, dtype=np.float64)
     half = 0.5 * np.asarray(turn_rad, dtype=np.float64)
-    chord = np.asarray(distance_m, dtype=np.float64) * sinc(half)
-    heading = start[..., 2] + half
-    x = start[..., 0] + chord * np.cos(heading)
-    y = start[..., 1] + chord * np.sin(heading)
-    return np.stack(np.broadcast_arrays(x, y, wrap_angle(heading + half)), axis=-1)
+    place = start[..., :2] + arc_displacement(start[..., 2], distance_m, turn_rad, sideslip_rad)
+    yaw = np.broadcast_to(wrap_angle(start[..., 2] + half + half), place.shape[:-1])
+    return np.concatenate([place, yaw[..., np.newaxis]], axis=-1)
 
 
 def move_point_along_arc(
@@ -63,22 +88,22 @@ def move_point_along_arc(
     `distance_m` is still the arc of the rear axle. With the wheelbase this is the odometry of the
     front axle that S16 uses.
     """
-    rear = shift_forward(np.asarray(poses, dtype=np.float64), -ahead_m)
-    return shift_forward(move_along_arc(rear, distance_m, turn_rad), ahead_m)
+    rear = move_reference_point(poses, -ahead_m)
+    return move_reference_point(move_along_arc(rear, distance_m, turn_rad), ahead_m)
 
 
 def arc_jacobians(
-    poses: ArrayLike, distance_m: ArrayLike, turn_rad: ArrayLike
+    poses: ArrayLike, distance_m: ArrayLike, turn_rad: ArrayLike, sideslip_rad: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
     """Derivatives of `move_along_arc` by the pose `(..., 3, 3)` and by (distance, turn)
-    `(..., 3, 2)`.
+    `(..., 3, 2)`; by the side-slip the place changes as by the yaw.
     """
     start = np.asarray(poses, dtype=np.float64)
     distance, turn = np.asarray(distance_m, dtype=np.float64), np.asarray(turn_rad)
     half = 0.5 * turn
-    heading = start[..., 2] + half
-    c, s = np.cos(heading), np.sin(heading)
-    shape = np.broadcast_shapes(heading.shape, distance.shape)
+    way = start[..., 2] + half + sideslip_rad
+    c, s = np.cos(way), np.sin(way)
+    shape = np.broadcast_shapes(way.shape, distance.shape)
     chord, ratio, slope = distance * sinc(half), sinc(half), distance * sinc_slope(half)
     by_pose = np.zeros((*shape, 3, 3))
     by_pose[..., :, :] = np.eye(3)
@@ -93,30 +118,45 @@ def arc_jacobians(
     return by_pose, by_input
 
 
-def ctrv_step(states: ArrayLike, dt_s: ArrayLike) -> Floats:
+def ctrv_step(
+    states: ArrayLike, dt_s: ArrayLike, slip_rad_per_mps2: Floats | float = 0.0
+) -> Floats:
     """Constant turn rate and velocity over `dt_s`, which may be negative.
 
     Args:
         states: `(..., 5)` east, north, yaw, speed, yaw rate of the rear axle.
         dt_s: `(...)`.
+        slip_rad_per_mps2: k: the axle goes in the direction yaw - k v w, outward in a bend.
 
-    Source: S16, output Kalman filter (III-D).
+    Source: S16, output Kalman filter (III-D); the slip see `Car.rear_slip_rad_per_mps2`.
     """
     start = np.asarray(states, dtype=np.float64)
     dt = np.asarray(dt_s, dtype=np.float64)
-    moved = move_along_arc(start[..., :3], start[..., 3] * dt, start[..., 4] * dt)
+    moved = move_along_arc(start[..., :3], *_arc(start, dt, slip_rad_per_mps2))
     rest = np.broadcast_to(start[..., 3:], (*moved.shape[:-1], 2))
     return np.concatenate([moved, rest], axis=-1)
 
 
-def ctrv_jacobian(states: ArrayLike, dt_s: ArrayLike) -> Floats:
+def _arc(start: Floats, dt: Floats, slip: Floats | float) -> tuple[Floats, Floats, Floats]:
+    """Distance, turn and side-slip of a CTRV state over dt."""
+    v, w = start[..., 3], start[..., 4]
+    return v * dt, w * dt, -np.asarray(slip, dtype=np.float64) * v * w
+
+
+def ctrv_jacobian(
+    states: ArrayLike, dt_s: ArrayLike, slip_rad_per_mps2: Floats | float = 0.0
+) -> Floats:
     """Derivative `(..., 5, 5)` of `ctrv_step` by the state."""
     start = np.asarray(states, dtype=np.float64)
     dt = np.asarray(dt_s, dtype=np.float64)
-    by_pose, by_input = arc_jacobians(start[..., :3], start[..., 3] * dt, start[..., 4] * dt)
+    slip = np.asarray(slip_rad_per_mps2, dtype=np.float64)
+    by_pose, by_input = arc_jacobians(start[..., :3], *_arc(start, dt, slip))
     jacobian = np.zeros((*by_pose.shape[:-2], 5, 5))
     jacobian[..., :3, :3] = by_pose
     jacobian[..., :3, 3:] = by_input * dt[..., None, None]
+    by_sideslip = by_pose[..., :2, 2]
+    jacobian[..., :2, 3] -= by_sideslip * (slip * start[..., 4])[..., None]
+    jacobian[..., :2, 4] -= by_sideslip * (slip * start[..., 3])[..., None]
     jacobian[..., 3, 3] = jacobian[..., 4, 4] = 1.0
     return jacobian
 
@@ -130,6 +170,7 @@ def ctrv_process_noise(
     lateral_m2ps: ArrayLike = 0.0,
     along_m2ps: ArrayLike = 0.0,
     yaw_rad2ps: ArrayLike = 0.0,
+    slip_rad_per_mps2: Floats | float = 0.0,
 ) -> Floats:
     """Covariance `(..., 5, 5)` that white accelerations add over `dt_s`.
 
@@ -149,7 +190,8 @@ def ctrv_process_noise(
     dt = np.asarray(dt_s, dtype=np.float64)
     v = start[..., 3]
     qa, qw = acceleration_m2ps3, yaw_acceleration_rad2ps3
-    heading = start[..., 2] + 0.5 * start[..., 4] * dt
+    _, turned, sideslip = _arc(start, dt, slip_rad_per_mps2)
+    heading = start[..., 2] + 0.5 * turned + sideslip
     local = np.zeros((*np.broadcast_shapes(heading.shape, dt.shape), 5, 5))
     dt2 = dt * dt
     dt3 = dt2 * dt
@@ -163,9 +205,6 @@ def ctrv_process_noise(
     local[..., 2, 4] = local[..., 4, 2] = qw * dt2 / 2.0
     local[..., 4, 4] = qw * dt
     turn = np.zeros_like(local)
-    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(heading)
-    turn[..., 1, 0] = np.sin(heading)
-    turn[..., 0, 1] = -turn[..., 1, 0]
-    for i in (2, 3, 4):
-        turn[..., i, i] = 1.0
+    turn[..., :, :] = np.eye(5)
+    turn[..., :2, :2] = rotation(heading)
     return np.asarray(turn @ local @ np.swapaxes(turn, -1, -2))

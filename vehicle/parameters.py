@@ -79,6 +79,34 @@ class Car:
         return sqrt(product * self.wheelbase_m**2 / (self.mass_kg * k1))
 
     @property
+    def front_slip_rad_per_mps2(self) -> float:
+        """Slip angle of the front tyres per lateral acceleration: m lr / (2 Cf l).
+
+        Source: the axles' shares of m a_y in a steady bend, W14 (1).
+        """
+        return (
+            self.mass_kg * self.cg_to_rear_m / (2.0 * self.front_stiffness_nprad * self.wheelbase_m)
+        )
+
+    @property
+    def rear_slip_rad_per_mps2(self) -> float:
+        """Outward slip angle of the rear axle per lateral acceleration: m lf / (2 Cr l).
+
+        In a steady bend the rear axle goes in the direction yaw - k a_y: what arcs of the rear
+        axle need beside speed and yaw rate.
+        """
+        return (
+            self.mass_kg * self.cg_to_front_m / (2.0 * self.rear_stiffness_nprad * self.wheelbase_m)
+        )
+
+    @property
+    def understeer_s2pm(self) -> float:
+        """K of `steering angle = (l + K v^2) curvature` in a steady bend, positive: understeer."""
+        front, rear = 2 * self.front_stiffness_nprad, 2 * self.rear_stiffness_nprad
+        moment = self.cg_to_rear_m * rear - self.cg_to_front_m * front
+        return self.mass_kg * moment / (front * rear * self.wheelbase_m)
+
+    @property
     def _moment_difference(self) -> float:
         return 2.0 * (
             self.front_stiffness_nprad * self.cg_to_front_m

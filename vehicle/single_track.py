@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from math import log
+from math import cos, log, sin
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from polemap.vehicle.discretize import van_loan, zero_order_hold
@@ -37,23 +37,38 @@ def lateral(car: Car, speed_mps: float) -> tuple[Floats, Floats]:
 
     Source: W14 (1), (2) as corrected in ERRATA.
     """
-    m, inertia = car.mass_kg, car.yaw_inertia_kgm2
-    lf, lr = car.cg_to_front_m, car.cg_to_rear_m
-    cf, cr = car.front_stiffness_nprad, car.rear_stiffness_nprad
-    k0, k1 = 2.0 * (cf + cr), 2.0 * (cf * lf - cr * lr)
-    k2 = 2.0 * (cf * lf**2 + cr * lr**2)
     v = speed_mps
     if v >= KINEMATIC_SPEED_MPS:
-        a = np.array(
-            [[-k0 / (m * v), -1.0 - k1 / (m * v * v)], [-k1 / inertia, -k2 / (inertia * v)]]
-        )
-        b = np.array([[2.0 * cf / (m * v), 0.0], [2.0 * cf * lf / inertia, 1.0 / inertia]])
-        return a, b
+        return lateral_on_tyres(car, v)
+    m, inertia = car.mass_kg, car.yaw_inertia_kgm2
+    lf, lr = car.cg_to_front_m, car.cg_to_rear_m
+    k0 = 2.0 * (car.front_stiffness_nprad + car.rear_stiffness_nprad)
+    k2 = 2.0 * (car.front_stiffness_nprad * lf**2 + car.rear_stiffness_nprad * lr**2)
     # relax to beta = lr/l delta, gamma = V/l delta as fast as the tyres do at the limit speed
     fast_beta, fast_gamma = k0 / (m * KINEMATIC_SPEED_MPS), k2 / (inertia * KINEMATIC_SPEED_MPS)
     length = lf + lr
     a = np.diag([-fast_beta, -fast_gamma])
     b = np.array([[fast_beta * lr / length, 0.0], [fast_gamma * v / length, 0.0]])
+    return a, b
+
+
+def lateral_on_tyres(car: Car, speed_mps: ArrayLike) -> tuple[Floats, Floats]:
+    """`lateral` from the kinematic limit up, at many speeds `(...)` at once.
+
+    Returns:
+        A `(..., 2, 2)` and B `(..., 2, 2)`.
+    """
+    m, inertia = car.mass_kg, car.yaw_inertia_kgm2
+    lf, lr = car.cg_to_front_m, car.cg_to_rear_m
+    cf, cr = car.front_stiffness_nprad, car.rear_stiffness_nprad
+    k0, k1 = 2.0 * (cf + cr), 2.0 * (cf * lf - cr * lr)
+    k2 = 2.0 * (cf * lf**2 + cr * lr**2)
+    v = np.asarray(speed_mps, dtype=np.float64)
+    a, b = np.empty((*v.shape, 2, 2)), np.empty((*v.shape, 2, 2))
+    a[..., 0, 0], a[..., 0, 1] = -k0 / (m * v), -1.0 - k1 / (m * v * v)
+    a[..., 1, 0], a[..., 1, 1] = -k1 / inertia, -k2 / (inertia * v)
+    b[..., 0, 0], b[..., 0, 1] = 2.0 * cf / (m * v), 0.0
+    b[..., 1, 0], b[..., 1, 1] = 2.0 * cf * lf / inertia, 1.0 / inertia
     return a, b
 
 
@@ -106,6 +121,19 @@ def planar_velocity(yaw_rate_radps: float) -> tuple[Floats, Floats]:
     Source: N13 (7)-(10).
     """
     return np.array([[0.0, yaw_rate_radps], [-yaw_rate_radps, 0.0]]), np.eye(2)
+
+
+def planar_velocity_step(
+    yaw_rate_radps: float, period_s: float
+) -> tuple[float, float, float, float]:
+    """`planar_velocity` over a step: `(c, s, ch, sh)` of v+ = [[c, s], [-s, c]] v + push a.
+
+    The accelerations a are held and taken at half of the turn: push = [[ch, sh], [-sh, ch]].
+    Plain floats, because the estimators step a thousand times a second.
+    """
+    turn = yaw_rate_radps * period_s
+    half = 0.5 * turn
+    return cos(turn), sin(turn), period_s * cos(half), period_s * sin(half)
 
 
 def lateral_acceleration_rows(car: Car, speed_mps: float) -> tuple[Floats, Floats]:

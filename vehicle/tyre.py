@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
+from math import sqrt
 
 
 def brush_force(
@@ -33,9 +33,3 @@ def brush_force(
         force = demand - demand**2 / (3.0 * limit_n) + demand**3 / (27.0 * limit_n**2)
     share = force / demand
     return share * demand_x, -share * demand_y
-
-
-def wheel_frame(velocity_x: float, velocity_y: float, steer_rad: float) -> tuple[float, float]:
-    """A velocity at the wheel's hub in body axes, turned into the axes of the steered wheel."""
-    c, s = cos(steer_rad), sin(steer_rad)
-    return c * velocity_x + s * velocity_y, c * velocity_y - s * velocity_x

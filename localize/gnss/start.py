@@ -8,8 +8,8 @@ from math import atan2, cos, hypot, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.output_filter.ctrv_kernel import step, wrap
-from polemap.localize.output_filter.state import Pose, PoseUpper
+from polemap.localize.output_filter.state import PoseUpper
+from polemap.vehicle.packed import Pose, ctrv_step, wrap
 
 Floats = NDArray[np.float64]
 
@@ -42,8 +42,7 @@ class GnssStart:
         before, speed, rate = self._last
         dt = stamp_s - before
         if dt > 0.0:
-            x, y, yaw = step(self._reckoned, speed, rate, dt)
-            self._reckoned = (x, y, yaw)
+            self._reckoned = ctrv_step(self._reckoned, speed, rate, dt)
             self._last = (stamp_s, speed, rate)
 
     def fix(

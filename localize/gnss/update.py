@@ -7,10 +7,10 @@ from math import cos, inf, sin
 import numpy as np
 
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import SIZE, as_mean, pack, unpack
 from polemap.localize.output_filter.rejection import antenna_residual, weigh
 from polemap.localize.output_filter.state import FilterState, GnssEvent
 from polemap.vehicle.kalman import innovate, joseph_update
+from polemap.vehicle.packed import SIZE, as_mean, pack, unpack
 
 _FOREVER = inf
 

@@ -18,15 +18,6 @@ from polemap.localize.gnss.start import GnssStart
 from polemap.localize.gnss.update import take_gnss
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.correlation import missing, news
-from polemap.localize.output_filter.ctrv_kernel import (
-    SIZE,
-    Noise,
-    as_mean,
-    pack,
-    predict,
-    unpack,
-    wrap,
-)
 from polemap.localize.output_filter.odometry_update import take_odometry
 from polemap.localize.output_filter.rejection import moved, reject
 from polemap.localize.output_filter.state import (
@@ -34,7 +25,6 @@ from polemap.localize.output_filter.state import (
     FilterState,
     GnssEvent,
     OdometryEvent,
-    Pose,
     PoseEvent,
     PoseUpper,
     RestartEvent,
@@ -47,6 +37,7 @@ from polemap.vehicle.kalman import (
     is_covariance,
     joseph_update,
 )
+from polemap.vehicle.packed import SIZE, CtrvNoise, Pose, as_mean, ctrv_predict, pack, unpack, wrap
 
 Floats = NDArray[np.float64]
 
@@ -75,7 +66,7 @@ class OutputFilter:
         antenna = np.zeros(2) if gnss_antenna_m is None else np.asarray(gnss_antenna_m)
         self._antenna = (float(antenna[0]), float(antenna[1]))
         self._slip = slip_rad_per_mps2
-        self._noise = Noise(
+        self._noise = CtrvNoise(
             2.0 * config.acceleration_mps2**2 * config.acceleration_time_s,
             2.0 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s,
             2.0 * config.slip_rad_per_mps2**2 * config.slip_time_s,
@@ -180,7 +171,9 @@ class OutputFilter:
         dt = stamp_s - state.stamp_s
         if dt <= 0.0:
             return state
-        mean, upper = predict(state.mean, state.upper, dt, self._noise, state.slip_rad_per_mps2)
+        mean, upper = ctrv_predict(
+            state.mean, state.upper, dt, self._noise, state.slip_rad_per_mps2
+        )
         return state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
 
     # one event
@@ -189,7 +182,7 @@ class OutputFilter:
         mean, upper = state.mean, state.upper
         dt = stamp_s - state.stamp_s
         if dt > 0.0:
-            mean, upper = predict(mean, upper, dt, self._noise, state.slip_rad_per_mps2)
+            mean, upper = ctrv_predict(mean, upper, dt, self._noise, state.slip_rad_per_mps2)
         if isinstance(event, OdometryEvent):
             return take_odometry(
                 state, stamp_s, mean, upper, event, self._config, self._odometry_limit

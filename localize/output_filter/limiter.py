@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import step, unpack, wrap
-from polemap.localize.output_filter.state import FilterState, Pose
+from polemap.localize.output_filter.state import FilterState
+from polemap.vehicle.packed import Pose, ctrv_step, unpack, wrap
 
 Floats = NDArray[np.float64]
 
@@ -82,8 +82,7 @@ class OutputLimiter:
         """The last output moved on by the filter's speed and yaw rate."""
         stamp, pose = self._last or (state.stamp_s, (0.0, 0.0, 0.0))
         dt = state.stamp_s - stamp
-        x, y, yaw = step(pose, state.mean[3], state.mean[4], dt, state.slip_rad_per_mps2)
-        return x, y, yaw
+        return ctrv_step(pose, state.mean[3], state.mean[4], dt, state.slip_rad_per_mps2)
 
     def _approach(self, state: FilterState) -> Pose:
         x, y, yaw = self._carried(state)

@@ -6,10 +6,10 @@ This runs for every odometry event and again in every replay, so it is written i
 from __future__ import annotations
 
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import INDEX, Mean, Upper, update
 from polemap.localize.output_filter.state import FilterState, OdometryEvent
+from polemap.vehicle.packed import INDEX, Mean, Upper, update_by_two
 
-# rows of the state, see `ctrv_kernel`
+# rows of the state, see `vehicle.packed`
 _SPEED, _RATE, _SCALE, _OFFSET = 3, 4, 5, 6
 _MOVING_RATE = (_RATE, 1.0, _OFFSET, 1.0)
 # what a standing car does
@@ -52,13 +52,15 @@ def take_odometry(
             rejected = 0
             upper = _widened(upper, dv * dv, dw * dw)
     if not rejected:
-        mean, upper = update(mean, upper, row_v, dv, rv)
+        mean, upper = update_by_two(mean, upper, row_v, dv, rv)
         predicted = mean[4] if standing else mean[4] + mean[6]
-        mean, upper = update(mean, upper, row_w, seen_w - predicted, rw)
+        mean, upper = update_by_two(mean, upper, row_w, seen_w - predicted, rw)
         if standing:
             # what is measured while nothing turns is the offset
             variance = config.yaw_rate_sd_radps**2
-            mean, upper = update(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], variance)
+            mean, upper = update_by_two(
+                mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], variance
+            )
     # the constructor, not _replace: this is the hot path
     return FilterState(
         stamp_s,

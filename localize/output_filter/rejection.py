@@ -15,17 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import INDEX, SIZE, Upper, pack, unpack, wrap
 from polemap.localize.output_filter.state import (
     FilterState,
     GnssEvent,
-    Pose,
     PoseEvent,
     PoseUpper,
     Rival,
 )
 from polemap.vehicle.kalman import normalized_error
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.packed import INDEX, SIZE, Pose, Upper, compose, inverse, pack, unpack, wrap
 
 Floats = NDArray[np.float64]
 
@@ -81,9 +79,7 @@ def _coherent(rival: Rival, event: PoseEvent, here: Pose, limit: float) -> bool:
 
 def _carried(rival: Rival, here: Pose) -> Pose:
     """The first rejected pose, moved as the filter has moved since."""
-    then = Pose2D(*rival.filter_pose)
-    now = Pose2D(*rival.pose).compose(then.inverse().compose(Pose2D(*here)))
-    return now.x_m, now.y_m, now.yaw_rad
+    return compose(rival.pose, compose(inverse(rival.filter_pose), here))
 
 
 def moved(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:

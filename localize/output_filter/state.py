@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from polemap.localize.output_filter.ctrv_kernel import Mean, Upper
+from polemap.vehicle.packed import Mean, Pose, Upper
 
-Pose = tuple[float, float, float]
 # upper triangle of a pose's 3x3 covariance, row by row
 PoseUpper = tuple[float, float, float, float, float, float]
 

@@ -16,7 +16,7 @@ from polemap.localize.particle_filter.resampling import (
     low_variance_indices,
     particles_needed,
 )
-from polemap.vehicle.pose import shift_forward, wrap_angle
+from polemap.vehicle.pose import move_reference_point, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Cloud:
     @property
     def rear(self) -> Floats:
         """Rear-axle poses `(n, 3)`."""
-        return shift_forward(self.poses, -self._wheelbase_m)
+        return move_reference_point(self.poses, -self._wheelbase_m)
 
     @property
     def slip_rad_per_mps2(self) -> float:
@@ -54,7 +54,7 @@ class Cloud:
 
     def place(self, rear: Floats, log_weights: Floats, slips: Floats | None = None) -> None:
         """Put all particles at rear-axle poses `(n, 3)`, with slips of any car if not told."""
-        self.poses = shift_forward(rear, self._wheelbase_m)
+        self.poses = move_reference_point(rear, self._wheelbase_m)
         self.poses[:, 2] = wrap_angle(self.poses[:, 2])
         self.log_weights = log_weights
         self._slips = self._drawn_slips(len(rear)) if slips is None else slips

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from polemap.map.landmark_map import PoleMap
 from polemap.stereo.rig import StereoRig
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import inverse_transform_points
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _LEAST = 30
 
 
 def offset_from_map(
-    looks: Sequence[tuple[Pose2D, Floats]], pole_map: PoleMap, rig: StereoRig
+    looks: Sequence[tuple[Floats, Floats]], pole_map: PoleMap, rig: StereoRig
 ) -> float:
     """What all disparities of a drive lack, in pixels: the median over what lies on a pole's ray.
 
@@ -32,13 +32,14 @@ def offset_from_map(
     there is too little.
 
     Args:
-        looks: pose of the vehicle in the map, and what was seen from there `(n, 2)`, vehicle frame.
+        looks: pose `(3,)` of the vehicle in the map, and what was seen from there `(n, 2)`,
+            vehicle frame.
         pole_map: known poles.
         rig: the camera.
     """
     lacking = [np.empty(0)]
     for pose, seen in looks:
-        mapped = pose.inverse().transform(pole_map.points_m)
+        mapped = inverse_transform_points(pose, pole_map.points_m)
         mapped = _disparity(mapped[_disparity(mapped, rig)[:, 0] > 0.0], rig)
         gap = mapped[:, None] - _disparity(seen, rig)
         near = (np.abs(gap[..., 1]) <= _ASIDE_PX) & (np.abs(gap[..., 0]) <= _WINDOWS_PX[0])

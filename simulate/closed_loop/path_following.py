@@ -255,7 +255,7 @@ class _Drive:
             self._localizer.push(GnssFix(now, now, rear.x_m + x, rear.y_m + y, 1.0))
         if now >= ticks["scan"] - 1e-9:
             ticks["scan"] += SCAN_S
-            self._waiting.append((now, rear.as_array()))
+            self._waiting.append((now, np.array(rear)))
         while self._waiting and self._waiting[0][0] + self._scenario.camera_delay_s <= now + 1e-9:
             stamp, pose = self._waiting.popleft()
             scan = replace(self._detector.scan(stamp, pose), arrival_s=now)

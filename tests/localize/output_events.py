@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polemap.localize.output_filter.ctrv_kernel import unpack
 from polemap.localize.output_filter.filter import OutputFilter
+from polemap.vehicle.packed import unpack
 
 
 def events_of(drive):

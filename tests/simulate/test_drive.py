@@ -21,7 +21,7 @@ from polemap.simulate.map_faults import PolesAdded
 from polemap.simulate.scenario import Scenario
 from polemap.simulate.stream_faults import GnssOffset
 from polemap.tools.cli import build_app
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import inverse_transform_points, transform_points
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -127,10 +127,9 @@ def test_scans_hold_the_poles_that_stand_there(
         assert scan.view is not None
         if not np.isfinite(pose).all():
             continue
-        place = Pose2D(*pose)
-        seen += int(scan.view.contains(place.inverse().transform(true)).sum())
+        seen += int(scan.view.contains(inverse_transform_points(pose, true)).sum())
         claims += len(scan)
-        gap = place.transform(scan.points_vehicle_m)[:, None] - true[None]
+        gap = transform_points(pose, scan.points_vehicle_m)[:, None] - true[None]
         off.extend(np.hypot(gap[..., 0], gap[..., 1]).min(axis=1, initial=np.inf))
     # misses, clutter and the reference's noise: 0.02 m and 0.0008 rad
     right = np.array(off) < 1.5

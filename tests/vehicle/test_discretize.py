@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from polemap.vehicle.discretize import van_loan, zero_order_hold
+from polemap.vehicle.discretize import van_loan, zero_order_hold, zero_order_hold_series
 from polemap.vehicle.errors import VehicleError
 
 
@@ -29,6 +29,21 @@ def test_zero_order_hold_equals_the_integral(seed, period):
     exact, _ = quad_vec(lambda s: expm(a * s) @ b, 0.0, period)
     assert np.allclose(g, expm(a * period), atol=1e-11)
     assert np.allclose(h, exact, rtol=1e-8, atol=1e-11)
+
+
+@given(st.integers(0, 10_000))
+def test_the_series_of_many_models_differs_from_the_hold_by_its_fifth_order(seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(6, 3, 3)), rng.normal(size=(6, 3, 2))
+    period = rng.uniform(0.001, 0.2, 6)
+    g, h = zero_order_hold_series(a, b, period)
+    for k in range(6):
+        exact_g, exact_h = zero_order_hold(a[k], b[k], period[k])
+        size = np.linalg.norm(a[k], 2) * period[k]
+        left = np.exp(size) / 120.0
+        assert np.linalg.norm(g[k] - exact_g, 2) <= left * size**5 + 1e-13
+        reach = period[k] * np.linalg.norm(b[k], 2)
+        assert np.linalg.norm(h[k] - exact_h, 2) <= left * size**4 * reach + 1e-13
 
 
 def test_two_half_steps_are_a_whole_one():

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from polemap.vehicle.discretize import van_loan
 from polemap.vehicle.motion import (
+    arc_displacement,
     arc_jacobians,
     ctrv_jacobian,
     ctrv_process_noise,
@@ -84,6 +85,17 @@ def finite_difference(function, at, step=1e-6):
     return np.stack(columns, axis=1)
 
 
+@given(yaws, distances, turns, st.floats(-0.2, 0.2), st.floats(-1.0, 1.0))
+def test_sideslip_turns_the_way_and_not_the_car(yaw, distance, turn, sideslip, left):
+    plain = move_along_arc([1.0, 2.0, yaw + sideslip], distance, turn)
+    slipped = move_along_arc([1.0, 2.0, yaw], distance, turn, sideslip)
+    assert np.allclose(slipped[:2], plain[:2], atol=1e-11)
+    assert wrap_angle(slipped[2] - yaw - turn) == pytest.approx(0.0, abs=1e-12)
+    way = yaw + 0.5 * turn + sideslip
+    aside = arc_displacement(yaw, distance, turn, sideslip, left) - (plain[:2] - [1.0, 2.0])
+    assert np.allclose(aside, [-left * math.sin(way), left * math.cos(way)], atol=1e-11)
+
+
 @given(yaws, distances, turns)
 def test_arc_jacobians_equal_finite_differences(yaw, distance, turn):
     pose = np.array([1.0, 2.0, yaw])
@@ -100,8 +112,9 @@ def test_arc_jacobians_equal_finite_differences(yaw, distance, turn):
 @given(yaws, st.floats(-20, 40), turns, st.sampled_from([0.01, 0.1, -0.05]))
 def test_ctrv_jacobian_equals_finite_differences(yaw, speed, rate, dt):
     state = np.array([10.0, -5.0, yaw, speed, rate])
-    numeric = finite_difference(lambda s: ctrv_step(s, dt), state)
-    assert np.allclose(ctrv_jacobian(state, dt), numeric, atol=1e-6)
+    for slip in (0.0, 0.006):
+        numeric = finite_difference(lambda s, k=slip: ctrv_step(s, dt, k), state)
+        assert np.allclose(ctrv_jacobian(state, dt, slip), numeric, atol=1e-6)
 
 
 def test_many_states_at_once_equal_one_after_the_other():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.vision import ALL_ROWS, vision_density
+from polemap.vehicle.discretize import zero_order_hold
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import load_car
 from polemap.vehicle.single_track import (
@@ -18,8 +19,10 @@ from polemap.vehicle.single_track import (
     gps_course,
     lateral,
     lateral_acceleration_rows,
+    lateral_on_tyres,
     observability_rank,
     planar_velocity,
+    planar_velocity_step,
     schedule,
 )
 
@@ -35,6 +38,25 @@ def test_steady_state_is_the_textbook_one() -> None:
     cf, cr, length = c.front_stiffness_nprad, c.rear_stiffness_nprad, c.wheelbase_m
     understeer = c.mass_kg * (c.cg_to_rear_m * cr - c.cg_to_front_m * cf) / (2 * cf * cr * length)
     assert gamma == pytest.approx(v / (length + understeer * v * v), rel=1e-12)
+
+
+def test_many_speeds_at_once_equal_one_after_the_other() -> None:
+    speeds = np.array([KINEMATIC_SPEED_MPS, 4.0, 30.0])
+    many = lateral_on_tyres(COMS, speeds)
+    for k, speed in enumerate(speeds.tolist()):
+        for array, single in zip(many, lateral(COMS, speed), strict=True):
+            assert np.array_equal(array[k], single)
+
+
+@given(st.floats(-2.0, 2.0), st.floats(0.0005, 0.02))
+def test_the_step_of_the_velocity_is_the_hold_to_the_third_order_of_the_turn(
+    rate: float, period: float
+) -> None:
+    c, s, ch, sh = planar_velocity_step(rate, period)
+    g, h = zero_order_hold(*planar_velocity(rate), period)
+    np.testing.assert_allclose([[c, s], [-s, c]], g, rtol=0, atol=1e-14)
+    limit = period * (abs(rate) * period) ** 2 / 12.0 + 1e-15
+    np.testing.assert_allclose([[ch, sh], [-sh, ch]], h, rtol=0, atol=limit)
 
 
 def test_table_one_car_oversteers_at_the_published_speeds() -> None:

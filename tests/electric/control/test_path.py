@@ -34,7 +34,7 @@ def _drive(path: Path, start: Pose2D, speed: float, seconds: float) -> np.ndarra
     for _ in range(round(seconds / 0.01)):
         steer, error = stanley_steer(path, pose, speed, yaw_rate, 2.7, StanleySettings())
         yaw_rate = speed * np.tan(steer) / 2.7
-        pose = Pose2D(*move_along_arc(pose.as_array(), speed * 0.01, yaw_rate * 0.01))
+        pose = Pose2D(*move_along_arc(pose, speed * 0.01, yaw_rate * 0.01))
         errors.append(error.lateral_m)
     return np.array(errors)
 

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from polemap.evaluation.metrics import nees
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import pack, unpack
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.state import FilterState
 from polemap.simulate.point_drive import PointNoise, point_drive
 from polemap.vehicle.delay import Placement
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.motion import ctrv_jacobian, ctrv_process_noise, ctrv_step
+from polemap.vehicle.packed import pack, unpack
 from polemap.vehicle.pose import wrap_angle
 from tests.localize.output_events import events_of, give, run, started_with_odometry
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import pack
 from polemap.localize.output_filter.limiter import OutputLimiter
 from polemap.localize.output_filter.state import Counts, FilterState
+from polemap.vehicle.packed import pack
 
 CONFIG = OutputConfig(correction_mps=1.0, correction_radps=0.5)
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.ctrv_kernel import unpack
 from polemap.localize.output_filter.filter import OutputFilter
 from polemap.vehicle.kalman import chi_square_gate
+from polemap.vehicle.packed import unpack
 from tests.localize.output_events import started_with_odometry
 
 START = np.diag([0.04, 0.04, 0.01])

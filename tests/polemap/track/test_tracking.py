@@ -13,7 +13,7 @@ from polemap.drivelog.samples import VisibleRegion
 from polemap.track.config import TrackingConfig
 from polemap.track.tracking import PoleTracker
 from polemap.track.tracks import Motion, Sighting
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import Pose2D, compose, inverse_transform_points
 
 CONFIG = TrackingConfig()
 Floats = NDArray[np.float64]
@@ -61,9 +61,9 @@ def drive_by(rate_hz: float, seed: int, error_time_s: float) -> Passage:
     keep = np.exp(-dt / error_time_s)
     error = rng.standard_normal((len(poles), 2))
     nees, owner = [], {}
-    pose = Pose2D(0.0, 0.0, 0.0)
+    pose = np.zeros(3)
     for step in range(int(9.0 * rate_hz)):
-        local = pose.inverse().transform(poles)
+        local = inverse_transform_points(pose, poles)
         away = np.hypot(*local.T)
         seen = (away < 22.0) & (away > 3.0) & (np.abs(np.arctan2(local[:, 1], local[:, 0])) < 0.7)
         shown = seen & (rng.random(len(poles)) < 0.85)
@@ -90,7 +90,7 @@ def drive_by(rate_hz: float, seed: int, error_time_s: float) -> Passage:
             nees.append(off @ np.linalg.solve(tracks.covariance_m2[track], off))
         turn = 0.03 * np.sin(0.5 * step * dt) * dt
         forward = speed * dt
-        pose = pose.compose(Pose2D(forward, 0.0, turn))
+        pose = compose(pose, [forward, 0.0, turn])
         noisy_m = forward * (1 + CONFIG.speed_sd_share * rng.standard_normal())
         noisy_m += CONFIG.speed_sd_mps * dt * rng.standard_normal()
         noisy_turn = turn + CONFIG.yaw_rate_sd_radps * dt * rng.standard_normal()
@@ -173,7 +173,8 @@ def test_prediction_moves_points_and_spreads_them() -> None:
     move = Pose2D(1.2, 0.1, 0.2)
     tracker.predict(Motion(0.1, move.x_m, move.y_m, move.yaw_rad, 1.25))
     after = tracker.tracks
-    assert np.allclose(after.points_vehicle_m, move.inverse().transform(before.points_vehicle_m))
+    expected = inverse_transform_points(move, before.points_vehicle_m)
+    assert np.allclose(after.points_vehicle_m, expected)
     for one, two in zip(before.covariance_m2, after.covariance_m2, strict=True):
         assert np.linalg.eigvalsh(two)[0] > 0
         assert np.trace(two) > np.trace(one)

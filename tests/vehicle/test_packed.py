@@ -1,25 +1,27 @@
-"""The plain-float kernel against the array forms of `vehicle`."""
+"""The core in plain floats against its array forms."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polemap.localize.output_filter.ctrv_kernel import (
+from polemap.vehicle import motion, packed, pose
+from polemap.vehicle.kalman import innovate, joseph_update
+from polemap.vehicle.motion import ctrv_jacobian, ctrv_process_noise
+from polemap.vehicle.packed import (
     INDEX,
-    Noise,
+    CtrvNoise,
+    ctrv_predict,
     pack,
-    predict,
-    step,
     unpack,
-    update,
+    update_by_two,
     wrap,
 )
-from polemap.vehicle.kalman import innovate, joseph_update
-from polemap.vehicle.motion import ctrv_jacobian, ctrv_process_noise, ctrv_step
 from polemap.vehicle.pose import wrap_angle
 
-NOISE = Noise(2.0, 0.3, 1e-4, along_s=2e-4, yaw_rad2ps=1e-5, scale_1ps=1e-6, offset_rad2ps3=1e-7)
+NOISE = CtrvNoise(
+    2.0, 0.3, 1e-4, along_s=2e-4, yaw_rad2ps=1e-5, scale_1ps=1e-6, offset_rad2ps3=1e-7
+)
 rates = st.one_of(st.floats(-3.0, 3.0), st.sampled_from([0.0, 1e-12, -1e-12, 1e-7, 4.9, 5.1]))
 
 
@@ -36,53 +38,95 @@ def test_packing_keeps_every_entry():
     assert all(packed[INDEX[i][j]] == covariance[i, j] for i in range(7) for j in range(7))
 
 
+lengths = st.floats(-1e3, 1e3)
+turns = st.one_of(st.floats(-3.0, 3.0), st.sampled_from([0.0, 1e-12, -1e-9, 1.9e-8, 2.1e-8]))
+planar = st.tuples(lengths, lengths, st.floats(-3.1, 3.1))
+
+
+@given(planar, planar)
+def test_poses_equal_the_array_forms(a, b):
+    x, y, _ = b
+    for plain, array in (
+        (packed.rotate(x, y, a[2]), pose.rotate([x, y], a[2])),
+        (packed.rotate_back(x, y, a[2]), pose.rotate_back([x, y], a[2])),
+        (packed.transform_point(a, x, y), pose.transform_points(a, [x, y])),
+    ):
+        assert np.allclose(plain, array, atol=1e-9)
+    for plain, array in (
+        (packed.compose(a, b), pose.compose(a, b)),
+        (packed.inverse(a), pose.inverse(a)),
+    ):
+        assert np.allclose(plain[:2], array[:2], atol=1e-9)
+        assert wrap_angle(plain[2] - array[2]) == pytest.approx(0.0, abs=1e-12)
+        assert -np.pi <= plain[2] < np.pi
+
+
+@given(st.floats(-3.1, 3.1), lengths, turns, st.floats(-0.1, 0.1))
+def test_arcs_equal_the_array_form(yaw, distance, turn, sideslip):
+    plain = packed.arc_displacement(yaw, distance, turn, sideslip)
+    assert np.allclose(plain, motion.arc_displacement(yaw, distance, turn, sideslip), atol=1e-10)
+
+
 @given(
-    st.integers(0, 10_000), st.floats(-3.1, 3.1), st.floats(-20.0, 40.0), rates, st.floats(0.0, 0.5)
+    st.integers(0, 10_000),
+    st.floats(-3.1, 3.1),
+    st.floats(-20.0, 40.0),
+    rates,
+    st.floats(0.0, 0.5),
+    st.sampled_from([0.0, 0.006]),
 )
-def test_prediction_equals_the_array_form(seed, yaw, speed, rate, dt):
+def test_prediction_equals_the_array_form(seed, yaw, speed, rate, dt, slip):
     covariance = random_covariance(seed)
     mean = (3.0, -4.0, yaw, speed, rate, 0.02, 0.003)
-    moved, upper = predict(mean, pack(covariance), dt, NOISE)
+    moved, upper = ctrv_predict(mean, pack(covariance), dt, NOISE, slip)
+    state = np.array(mean[:5])
     transition, added = np.eye(7), np.zeros((7, 7))
-    transition[:5, :5] = ctrv_jacobian(np.array(mean[:5]), dt)
+    transition[:5, :5] = ctrv_jacobian(state, dt, slip)
     added[:5, :5] = ctrv_process_noise(
-        np.array(mean[:5]),
+        state,
         dt,
         acceleration_m2ps3=2.0,
         yaw_acceleration_rad2ps3=0.3,
         lateral_m2ps=1e-4 * (speed**2 * rate) ** 2,
         along_m2ps=2e-4 * speed**2,
         yaw_rad2ps=1e-5 * min(1.0, speed**2),
+        slip_rad_per_mps2=slip,
     )
     added[5, 5], added[6, 6] = 1e-6 * dt, 1e-7 * dt
     expected = transition @ covariance @ transition.T + added
     scale = max(1.0, np.abs(expected).max())
     assert np.allclose(unpack(upper), expected, rtol=1e-12, atol=1e-12 * scale)
-    assert np.allclose(moved[:2], ctrv_step(np.array(mean[:5]), dt)[:2], atol=1e-11)
-    assert wrap_angle(moved[2] - ctrv_step(np.array(mean[:5]), dt)[2]) == pytest.approx(
-        0, abs=1e-12
-    )
+    stepped = motion.ctrv_step(state, dt, slip)
+    assert np.allclose(moved[:2], stepped[:2], atol=1e-11)
+    assert wrap_angle(moved[2] - stepped[2]) == pytest.approx(0, abs=1e-12)
     assert moved[3:] == mean[3:]
-    assert np.allclose(step(mean[:3], speed, rate, dt), moved[:3], atol=1e-11)
+    alone = packed.ctrv_step(mean[:3], speed, rate, dt, slip)
+    assert np.allclose(alone, moved[:3], atol=1e-11)
 
 
 @pytest.mark.parametrize(("speed", "rate"), [(9.0, 0.4), (-3.0, 0.2), (12.0, -0.05)])
 def test_a_slipping_rear_axle_goes_aside_of_where_the_car_points(speed, rate):
-    slip, dt, quiet = 0.006, 0.3, Noise(0.0, 0.0, 0.0)
+    slip, dt, quiet = 0.006, 0.3, CtrvNoise(0.0, 0.0, 0.0)
     mean = np.array([3.0, -4.0, 0.7, speed, rate, 0.0, 0.0])
 
     def moved(state):
-        return np.array(predict(tuple(state.tolist()), pack(np.zeros((7, 7))), dt, quiet, slip)[0])
+        return np.array(
+            ctrv_predict(tuple(state.tolist()), pack(np.zeros((7, 7))), dt, quiet, slip)[0]
+        )
 
     turned = mean.copy()
     turned[2] -= slip * speed * rate
-    plain = np.array(predict(tuple(turned.tolist()), pack(np.zeros((7, 7))), dt, quiet)[0])
+    plain = np.array(ctrv_predict(tuple(turned.tolist()), pack(np.zeros((7, 7))), dt, quiet)[0])
     assert np.allclose(moved(mean)[:2], plain[:2], atol=1e-12)
     assert moved(mean)[2] == pytest.approx(mean[2] + rate * dt)
-    assert np.allclose(step(tuple(mean[:3]), speed, rate, dt, slip), moved(mean)[:3], atol=1e-12)
+    assert np.allclose(
+        packed.ctrv_step(tuple(mean[:3].tolist()), speed, rate, dt, slip),
+        moved(mean)[:3],
+        atol=1e-12,
+    )
     jacobian = np.stack([(moved(mean + h) - moved(mean - h)) / 2e-6 for h in 1e-6 * np.eye(7)], 1)
     covariance = random_covariance(5)
-    _, upper = predict(tuple(mean.tolist()), pack(covariance), dt, quiet, slip)
+    _, upper = ctrv_predict(tuple(mean.tolist()), pack(covariance), dt, quiet, slip)
     assert np.allclose(unpack(upper), jacobian @ covariance @ jacobian.T, rtol=1e-6, atol=1e-6)
 
 
@@ -98,7 +142,7 @@ def test_an_update_equals_the_array_form(seed, row):
     innovation = innovate(np.array([0.2]), covariance, jacobian, noise)
     expected, expected_p = joseph_update(np.array(mean), covariance, innovation, jacobian, noise)
     expected[2] = wrap_angle(expected[2])
-    after, upper = update(mean, pack(covariance), row, 0.2, 0.04)
+    after, upper = update_by_two(mean, pack(covariance), row, 0.2, 0.04)
     assert np.allclose(after, expected, rtol=1e-11, atol=1e-12)
     assert np.allclose(unpack(upper), expected_p, rtol=1e-9, atol=1e-10)
     assert np.linalg.eigvalsh(unpack(upper)).min() > 0.0

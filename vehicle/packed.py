@@ -1,9 +1,11 @@
-"""The output EKF's two hot steps in plain floats.
+"""The core in plain floats, for one pose or one state at a time.
 
-The state is CTRV (x, y, yaw, v, w) and what is wrong with the odometry: the relative error of its
-speed and the offset of its yaw rate, both wandering slowly. So small a filter is too small for
-numpy: its calls cost more than its sums. The covariance is the tuple of the 28 entries of its upper
-triangle, row by row; the tests hold these functions to `vehicle.motion` and `vehicle.kalman`.
+What runs a hundred to a thousand times a second on a single state is too small for numpy: its calls
+cost more than its sums. The array forms of `pose`, `motion` and `kalman` are the oracle that the
+tests hold all of this to. A pose is the tuple (x, y, yaw); the state of the CTRV filter is that,
+speed and yaw rate, and what is wrong with the odometry: the relative error of its speed and the
+offset of its yaw rate, both wandering slowly. Its covariance is the tuple of the 28 entries of the
+upper triangle, row by row.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Pose = tuple[float, float, float]
 Mean = tuple[float, float, float, float, float, float, float]
 Upper = tuple[float, ...]
 
@@ -31,8 +34,8 @@ INDEX = tuple(
 _PAIRS = tuple((int(i), int(j)) for i, j in zip(_ROWS, _COLUMNS, strict=True))
 
 
-class Noise(NamedTuple):
-    """Densities of the process noise; see `vehicle.motion.ctrv_process_noise`."""
+class CtrvNoise(NamedTuple):
+    """Densities of the process noise; see `motion.ctrv_process_noise`."""
 
     acceleration_m2ps3: float
     yaw_acceleration_rad2ps3: float
@@ -69,21 +72,60 @@ def unpack(upper: Upper) -> Floats:
     return full
 
 
-def step(
-    pose: tuple[float, float, float], v: float, w: float, dt_s: float, slip: float = 0.0
-) -> tuple[float, ...]:
-    """A pose moved along the arc of constant speed and yaw rate; slip as in `predict`."""
+def rotate(x: float, y: float, yaw_rad: float) -> tuple[float, float]:
+    """A vector of a frame turned by the yaw, in the axes it is turned from (`pose.rotate`)."""
+    c, s = cos(yaw_rad), sin(yaw_rad)
+    return c * x - s * y, s * x + c * y
+
+
+def rotate_back(x: float, y: float, yaw_rad: float) -> tuple[float, float]:
+    """The inverse of `rotate`: a difference along and across a heading (`pose.rotate_back`)."""
+    c, s = cos(yaw_rad), sin(yaw_rad)
+    return c * x + s * y, -s * x + c * y
+
+
+def transform_point(map_from_vehicle: Pose, x_m: float, y_m: float) -> tuple[float, float]:
+    """A point of the vehicle frame in the map (`pose.transform_points`)."""
+    x, y, yaw = map_from_vehicle
+    c, s = cos(yaw), sin(yaw)
+    return x + c * x_m - s * y_m, y + s * x_m + c * y_m
+
+
+def compose(map_from_a: Pose, a_from_b: Pose) -> Pose:
+    """`map_from_b`, the yaw wrapped (`pose.compose`)."""
+    x, y = transform_point(map_from_a, a_from_b[0], a_from_b[1])
+    return x, y, wrap(map_from_a[2] + a_from_b[2])
+
+
+def inverse(map_from_vehicle: Pose) -> Pose:
+    """`vehicle_from_map`, the yaw wrapped (`pose.inverse`)."""
+    x, y = rotate_back(map_from_vehicle[0], map_from_vehicle[1], map_from_vehicle[2])
+    return -x, -y, wrap(-map_from_vehicle[2])
+
+
+def arc_displacement(
+    yaw_rad: float, distance_m: float, turn_rad: float, sideslip_rad: float = 0.0
+) -> tuple[float, float]:
+    """How far an arc that starts at a yaw leads east and north (`motion.arc_displacement`)."""
+    half = 0.5 * turn_rad
+    chord = distance_m * (sin(half) / half if abs(half) > 1e-8 else 1.0)
+    way = yaw_rad + half + sideslip_rad
+    return chord * cos(way), chord * sin(way)
+
+
+def ctrv_step(
+    pose: Pose, speed_mps: float, yaw_rate_radps: float, dt_s: float, slip_rad_per_mps2: float = 0.0
+) -> Pose:
+    """A pose at constant speed and yaw rate (`motion.ctrv_step`), the yaw wrapped."""
     x, y, yaw = pose
-    half = 0.5 * w * dt_s
-    ratio = sin(half) / half if abs(half) > 1e-9 else 1.0
-    chord = v * dt_s * ratio
-    heading = yaw + half
-    way = heading - slip * v * w
-    return (x + chord * cos(way), y + chord * sin(way), wrap(heading + half))
+    turn = yaw_rate_radps * dt_s
+    slip = -slip_rad_per_mps2 * speed_mps * yaw_rate_radps
+    east, north = arc_displacement(yaw, speed_mps * dt_s, turn, slip)
+    return x + east, y + north, wrap(yaw + 0.5 * turn + 0.5 * turn)
 
 
-def predict(
-    mean: Mean, upper: Upper, dt_s: float, noise: Noise, slip: float = 0.0
+def ctrv_predict(
+    mean: Mean, upper: Upper, dt_s: float, noise: CtrvNoise, slip: float = 0.0
 ) -> tuple[Mean, Upper]:
     """State and covariance after `dt_s` (not negative): `f(x)`, `F P F' + Q`.
 
@@ -126,7 +168,7 @@ def predict(
     r22 = p22 + dt_s * p24
     r23 = p23 + dt_s * p34
     r24 = p24 + dt_s * p44
-    # process noise along (u) and across (n) the path, as in vehicle.motion
+    # process noise along (u) and across (n) the path, as in `motion`
     qa, qw = noise.acceleration_m2ps3, noise.yaw_acceleration_rad2ps3
     dt2 = dt_s * dt_s
     dt3 = dt2 * dt_s
@@ -168,7 +210,7 @@ def predict(
     return (x + chord * c, y + chord * s, wrap(heading + half), v, w, scale, offset), new
 
 
-def update(
+def update_by_two(
     mean: Mean,
     upper: Upper,
     row: tuple[int, float, int, float],
