@@ -21,7 +21,7 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
-from polemap.perception import PolePerception, looks
+from polemap.perception import PolePerception, perceive_drive
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher
 from polemap.training import Samples, TrainingConfig, collect, train
@@ -45,7 +45,7 @@ def look(drive: Drive, poles: PoleMap, model: PoleClassifier) -> list[FrameRecor
             drive.rig,
             config.detection,
         )
-        for seen in looks(drive, eye)
+        for seen in perceive_drive(drive, eye)
     ]
 
 

@@ -106,11 +106,11 @@ def see(route: str, seed: int, drive: Drive, lap: int, every: int) -> list[PoleS
         ):
             stamp = float(plan.frame_stamps_s[number])
             while row < len(odometry) and odometry.stamp_s[row] <= stamp:
-                perception.push_odometry(odometry.sample(row))
+                perception.record_odometry(odometry.sample(row))
                 row += 1
             arrival = float(plan.frame_arrivals_s[number])
             frame = StereoFrame(stamp, arrival, number, left, right)
-            scans.append(perception.see(frame, disparity).scan)
+            scans.append(perception.perceive_disparity(frame, disparity).scan)
     return scans
 
 

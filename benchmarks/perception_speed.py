@@ -28,7 +28,7 @@ from benchmarks.streets import open_street
 from polemap.config import PolemapConfig
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
-from polemap.perception import PolePerception, samples_to_see
+from polemap.perception import PolePerception, samples_in_order
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher
 from polemap.stereo.rig import StereoRig
@@ -36,7 +36,8 @@ from polemap.stereo.rig import StereoRig
 Samples = list[OdometrySample | StereoFrame | PoleScan]
 
 _STAGES = (
-    "upright_maps", "fit_ground", "depth_edges", "find_slices", "find_stems", "measure",
+    "upright_maps", "fit_ground", "depth_edges", "find_slices", "find_hypotheses",
+    "measure_features",
     "refine_disparity", "visible_region", "_locate", "_suppress",
 )  # fmt: skip
 _KITTI = RECORDINGS / "kitti_odometry" / "sequences" / "03"
@@ -67,7 +68,7 @@ def _recorded(path: Path) -> tuple[StereoRig, Samples]:
     part = drive.between(stamps[0], stamps[min(_FRAMES, len(stamps) - 1)])
     if drive.rig is None:
         raise SystemExit(f"{path}: a drive without a camera")
-    return drive.rig, list(samples_to_see(part))
+    return drive.rig, list(samples_in_order(part))
 
 
 def _simulated(world_name: str, seed: int, frames: int) -> tuple[StereoRig, Samples]:
@@ -119,11 +120,11 @@ def _look(
     perception._track = _timed(perception._track, spent["track"])  # type: ignore[method-assign]
     for sample in samples:
         if isinstance(sample, OdometrySample):
-            perception.push_odometry(sample)
+            perception.record_odometry(sample)
         elif isinstance(sample, StereoFrame):
             with _stages_timed(spent):
                 begin = time.process_time()
-                view = perception.see(sample, maps[sample.index]).view
+                view = perception.perceive_disparity(sample, maps[sample.index]).view
                 spent["whole"].append(time.process_time() - begin)
             hypotheses.append(len(view.detections))
     return spent

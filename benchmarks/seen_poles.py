@@ -29,7 +29,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import StereoFrame
 from polemap.evaluation.detections import FrameRecord, match, record, score_frames, score_tracks
 from polemap.map.landmark_map import PoleMap
-from polemap.perception import Look, PolePerception
+from polemap.perception import PerceivedFrame, PolePerception
 from polemap.simulate.truth import true_map
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import inverse_transform_points
@@ -61,17 +61,20 @@ def judge(job: tuple[str, int, float]) -> dict[str, float]:
         if not BEGIN_S <= stamp < BEGIN_S + seconds:
             continue
         while row < len(odometry) and odometry.stamp_s[row] <= stamp:
-            perception.push_odometry(odometry.sample(row))
+            perception.record_odometry(odometry.sample(row))
             row += 1
         shot = studio.shot(number)
-        look = perception.look(StereoFrame(stamp, stamp, number, shot.left, shot.right))
+        perceived = perception.perceive(StereoFrame(stamp, stamp, number, shot.left, shot.right))
         pose = plan.motion.at(np.array([stamp]))[0]
         assert shot.truth is not None
-        records.append(record(look, pose, truth, studio.renderer.rig, settings.detection))
-        shown = shown_by_truth(look, pose, truth, shot.truth[2], studio.renderer.rig)
+        records.append(record(perceived, pose, truth, studio.renderer.rig, settings.detection))
+        shown = shown_by_truth(perceived, pose, truth, shot.truth[2], studio.renderer.rig)
         truly.append(replace(records[-1], shown=shown))
-        sure = look.tracks.confirmed & (look.tracks.detection >= 0)
-        points, covariance = look.tracks.points_vehicle_m[sure], look.tracks.covariance_m2[sure]
+        sure = perceived.tracks.confirmed & (perceived.tracks.detection >= 0)
+        points, covariance = (
+            perceived.tracks.points_vehicle_m[sure],
+            perceived.tracks.covariance_m2[sure],
+        )
         near = truth.within(pose[:2], 40.0)
         real = inverse_transform_points(pose, truth.points_m[near])
         for one, two in zip(*match(real, points, 1.0), strict=True):
@@ -97,18 +100,22 @@ def judge(job: tuple[str, int, float]) -> dict[str, float]:
 
 
 def shown_by_truth(
-    look: Look, pose: Floats, truth: PoleMap, owner: NDArray[np.uint16], rig: StereoRig
+    perceived: PerceivedFrame,
+    pose: Floats,
+    truth: PoleMap,
+    owner: NDArray[np.uint16],
+    rig: StereoRig,
 ) -> NDArray[np.int64]:
     """Rows of the map whose own pixels carry their disparity at half or more of their heights."""
     near = truth.within(np.asarray(pose[:2]), 40.0)
     points = inverse_transform_points(pose, truth.points_m[near])
-    disparity = look.disparity.left
+    disparity = perceived.disparity.left
     height, width = disparity.shape
     shown = []
     u, _, d = rig.project(np.column_stack([points, np.zeros(len(points))])).T
     for pole in np.flatnonzero((u >= 0) & (u < width) & (d > 1.0)):
         heights = HEIGHTS_M[truth.height_m[near[pole]] >= HEIGHTS_M]
-        foot = float(look.view.ground.row_px(u[pole], d[pole]))
+        foot = float(perceived.view.ground.row_px(u[pole], d[pole]))
         rows = np.rint(foot - heights * d[pole] / rig.baseline_m).astype(np.int64)
         rows = rows[(rows >= 0) & (rows < height)]
         aside = max(0.15, truth.width_m[near[pole]]) * d[pole] / rig.baseline_m

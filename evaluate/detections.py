@@ -20,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import Ground
 from polemap.map.landmark_map import PoleMap
-from polemap.perception import Look
+from polemap.perception import PerceivedFrame
 from polemap.stereo.matching import DisparityPair
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import inverse_transform_points, transform_points
@@ -99,21 +99,25 @@ class FrameRecord:
 
 
 def record(
-    look: Look, pose: Floats, pole_map: PoleMap, rig: StereoRig, config: DetectionConfig
+    perceived: PerceivedFrame,
+    pose: Floats,
+    pole_map: PoleMap,
+    rig: StereoRig,
+    config: DetectionConfig,
 ) -> FrameRecord:
-    """Reduce a look to what scoring needs; `pose` is `(3,)` of the rear axle in the map."""
+    """Reduce a frame to what scoring needs; `pose` is `(3,)` of the rear axle in the map."""
     near = pole_map.within(np.asarray(pose[:2], dtype=np.float64), config.range_max_m + 5.0)
     points = inverse_transform_points(pose, pole_map.points_m[near])
-    share = evidence(points, look.disparity, look.view.ground, rig)
-    found = look.view.detections
+    share = evidence(points, perceived.disparity, perceived.view.ground, rig)
+    found = perceived.view.detections
     sure = found.probability >= config.probability_min
     return FrameRecord(
         np.asarray(pose, dtype=np.float64),
         near[share >= _EVIDENCE_SHARE],
         found.points_vehicle_m[sure],
-        look.scan.ids,
-        look.scan.points_vehicle_m,
-        look.view.region.origin_vehicle_m,
+        perceived.scan.ids,
+        perceived.scan.points_vehicle_m,
+        perceived.view.region.origin_vehicle_m,
     )
 
 

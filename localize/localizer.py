@@ -36,9 +36,9 @@ STREAMS = ("odometry", "gnss", "camera")
 class Perception(Protocol):
     """Frames to pole scans; `polemap.perception.PolePerception` is one."""
 
-    def push_odometry(self, sample: OdometrySample, /) -> None: ...
+    def record_odometry(self, sample: OdometrySample, /) -> None: ...
 
-    def push_frame(self, frame: StereoFrame, /) -> PoleScan: ...
+    def scan_frame(self, frame: StereoFrame, /) -> PoleScan: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +269,7 @@ class Localizer:
                 if isinstance(earlier, OdometrySample):
                     self._particle_filter.predict(earlier)
                     if self._perception is not None:
-                        self._perception.push_odometry(earlier)
+                        self._perception.record_odometry(earlier)
                 else:
                     self._particle_filter.gnss(earlier, self._antenna)
             if stamp is None:
@@ -293,4 +293,4 @@ class Localizer:
         if self._perception is None:
             raise InputError("a stereo frame was pushed, but this localizer has no perception")
         with self._times.of("perception"):
-            return self._perception.push_frame(sample)
+            return self._perception.scan_frame(sample)

@@ -26,7 +26,7 @@ from polemap.track.tracks import Sighting, Tracks
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class PerceivedFrame:
     """Everything that one frame led to, for pictures and tables."""
 
     frame: StereoFrame
@@ -67,21 +67,21 @@ class PolePerception:
         self._odometry = OdometryWindow(KEEP_S)
         self._stamp_s: float | None = None
 
-    def push_odometry(self, sample: OdometrySample) -> None:
+    def record_odometry(self, sample: OdometrySample) -> None:
         """Take a sample of speed and yaw rate."""
         self._odometry.insert(sample)
         self._odometry.forget()
 
-    def push_frame(self, frame: StereoFrame) -> PoleScan:
-        """The poles of a stereo frame; see `look`."""
-        return self.look(frame).scan
+    def scan_frame(self, frame: StereoFrame) -> PoleScan:
+        """The poles of a stereo frame; see `perceive`."""
+        return self.perceive(frame).scan
 
-    def push_scan(self, scan: PoleScan, *, raw_stereo: bool = False) -> PoleScan:
+    def track_scan(self, scan: PoleScan, *, raw_stereo: bool = False) -> PoleScan:
         """Track poles that were detected elsewhere; the scan comes back with ids and existence.
 
         Args:
             raw_stereo: they are this camera's detections as `detect` gives them, so they share an
-                error of the disparities, which is learned and mended as in `see`.
+                error of the disparities, which is learned and corrected as in `perceive_disparity`.
         """
         sighting = Sighting(
             scan.stamp_s,
@@ -96,7 +96,7 @@ class PolePerception:
             return self._track_stereo(sighting, scan.arrival_s, self._offset)[1]
         return self._track(sighting, scan.arrival_s)
 
-    def look(self, frame: StereoFrame) -> Look:
+    def perceive(self, frame: StereoFrame) -> PerceivedFrame:
         """The poles of a stereo frame with all that led to them.
 
         Raises:
@@ -110,10 +110,10 @@ class PolePerception:
         if self._classifier is None:
             self._classifier = read_classifier(self._config.detection.model)
         disparity = self._matcher.match(frame.left, frame.right)
-        return self.see(frame, disparity)
+        return self.perceive_disparity(frame, disparity)
 
-    def see(self, frame: StereoFrame, disparity: DisparityPair) -> Look:
-        """`look` with disparity maps that are there already."""
+    def perceive_disparity(self, frame: StereoFrame, disparity: DisparityPair) -> PerceivedFrame:
+        """`perceive` with disparity maps that are there already."""
         if self._rig is None or self._offset is None:
             raise InputError("perception: a stereo frame came, but the drive has no camera")
         if self._classifier is None:
@@ -134,7 +134,7 @@ class PolePerception:
         mended, scan = self._track_stereo(sighting, frame.arrival_s, self._offset)
         found = replace(found, points_vehicle_m=mended.points_vehicle_m)
         view = replace(view, detections=found)
-        return Look(frame, disparity, view, self._tracks(), scan)
+        return PerceivedFrame(frame, disparity, view, self._tracks(), scan)
 
     def _track_stereo(
         self, raw: Sighting, arrival_s: float, offset: DisparityOffset
@@ -145,7 +145,7 @@ class PolePerception:
         mended = replace(raw, points_vehicle_m=points, per_offset_m=offset.per_px(points))
         before = offset.value_px
         scan = self._track(mended, arrival_s)
-        offset.see(mended, self._tracker.tracks, elapsed_s)
+        offset.learn(mended, self._tracker.tracks, elapsed_s)
         self._tracker.shift(offset.value_px - before)
         return mended, scan
 
@@ -236,29 +236,29 @@ def scan_drive(
         raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
     perception = PolePerception(drive.rig, config, stereo=stereo)
     scans = []
-    for sample in samples_to_see(drive):
+    for sample in samples_in_order(drive):
         if isinstance(sample, OdometrySample):
-            perception.push_odometry(sample)
+            perception.record_odometry(sample)
             continue
         if isinstance(sample, StereoFrame):
-            scans.append(perception.push_frame(sample))
+            scans.append(perception.scan_frame(sample))
         else:
-            scans.append(perception.push_scan(sample, raw_stereo=raw_stereo))
+            scans.append(perception.track_scan(sample, raw_stereo=raw_stereo))
         if progress is not None:
             progress(1)
     return scans
 
 
-def looks(drive: Drive, perception: PolePerception) -> Iterator[Look]:
+def perceive_drive(drive: Drive, perception: PolePerception) -> Iterator[PerceivedFrame]:
     """All that a drive's frames show, one after the other."""
-    for sample in samples_to_see(drive):
+    for sample in samples_in_order(drive):
         if isinstance(sample, OdometrySample):
-            perception.push_odometry(sample)
+            perception.record_odometry(sample)
         elif isinstance(sample, StereoFrame):
-            yield perception.look(sample)
+            yield perception.perceive(sample)
 
 
-def samples_to_see(drive: Drive) -> Iterator[OdometrySample | StereoFrame | PoleScan]:
+def samples_in_order(drive: Drive) -> Iterator[OdometrySample | StereoFrame | PoleScan]:
     """Odometry and frames (or scans, where there are no frames) in the order of their stamps.
 
     A whole drive lies on disk, so nothing is late here.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.map_offset import offset_from_map
+from polemap.build.offset_from_map import offset_from_map
 from polemap.detect.classifier import PoleClassifier, fit_classifier
 from polemap.detect.config import DetectionConfig
 from polemap.detect.detection import detect

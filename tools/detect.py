@@ -18,7 +18,7 @@ from polemap.drivelog.errors import ConfigError, InputError
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
-from polemap.perception import Look, PolePerception, looks
+from polemap.perception import PerceivedFrame, PolePerception, perceive_drive
 from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
 from polemap.tools.options import ConfigOption, SetOption
@@ -65,14 +65,14 @@ def command(
     settings = load_settings(config, set_values)
     opened = open_drive(drive, seed=seed)
     if opened.rig is None or not opened.has_frames:
-        raise InputError(f"drive {opened.name}: it has no stereo images to look at")
+        raise InputError(f"drive {opened.name}: it has no stereo images to detect poles in")
     wanted = _range(frames, len(opened.frame_stamps_s))
     known = read_map(evaluate, opened.frame) if evaluate else None
     lacking = read_map(unmapped, opened.frame).points_m if unmapped else None
     if evaluate and opened.reference is None:
         raise InputError(f"drive {opened.name}: it has no reference to place a map by")
     with atomic_folder(out) as folder:
-        records = _look(opened, wanted, settings, folder, pictures, known)
+        records = _detect_frames(opened, wanted, settings, folder, pictures, known)
     if known is not None:
         config_min = settings.polemap.detection
         scores = score_frames(records, known, _BANDS_M, lacking)
@@ -94,7 +94,7 @@ def _range(text: str, count: int) -> range:
     return range(start, min(stop, count))
 
 
-def _look(
+def _detect_frames(
     drive: Drive,
     wanted: range,
     settings: Settings,
@@ -117,33 +117,33 @@ def _look(
     ):
         table = csv.writer(file)
         table.writerow(_COLUMNS)
-        for look in looks(part, perception):
-            frame = look.frame
-            table.writerows(_rows(look))
+        for perceived in perceive_drive(part, perception):
+            frame = perceived.frame
+            table.writerows(_rows(perceived))
             pose = drive.reference.at(np.array([frame.stamp_s]))[0] if drive.reference else None
             placed = pose is not None and bool(np.isfinite(pose).all())
             mapped = None
             if known is not None and pose is not None and placed:
-                records.append(record(look, pose, known, rig, settings.polemap.detection))
+                records.append(record(perceived, pose, known, rig, settings.polemap.detection))
                 near = known.within(pose[:2], 40.0)
                 mapped = inverse_transform_points(pose, known.points_m[near])
             if pictures:
                 name = folder / f"{frame.index:06d}.png"
                 sure = settings.polemap.detection.probability_min
-                write_overlay(name, look, sure, mapped)
+                write_overlay(name, perceived, sure, mapped)
             advance(1)
     return records
 
 
-def _rows(look: Look) -> list[list[Any]]:
-    found = look.view.detections
+def _rows(perceived: PerceivedFrame) -> list[list[Any]]:
+    found = perceived.view.detections
     track = np.full(len(found), -1)
-    taken = look.tracks.detection >= 0
-    track[look.tracks.detection[taken]] = look.tracks.ids[taken]
+    taken = perceived.tracks.detection >= 0
+    track[perceived.tracks.detection[taken]] = perceived.tracks.ids[taken]
     return [
         [
-            look.frame.index,
-            f"{look.frame.stamp_s:.6f}",
+            perceived.frame.index,
+            f"{perceived.frame.stamp_s:.6f}",
             *(
                 f"{value[row]:.2f}"
                 for value in (found.left_px, found.right_px, found.top_px, found.bottom_px)

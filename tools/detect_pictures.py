@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import Image
-from polemap.perception import Look
+from polemap.perception import PerceivedFrame
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -22,13 +22,18 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def write_overlay(
-    path: Path, look: Look, probability_min: float, mapped_vehicle_m: Floats | None = None
+    path: Path,
+    perceived: PerceivedFrame,
+    probability_min: float,
+    mapped_vehicle_m: Floats | None = None,
 ) -> None:
     """`overlay` as a file."""
-    cv2.imwrite(str(path), overlay(look, probability_min, mapped_vehicle_m))
+    cv2.imwrite(str(path), overlay(perceived, probability_min, mapped_vehicle_m))
 
 
-def overlay(look: Look, probability_min: float, mapped_vehicle_m: Floats | None = None) -> Picture:
+def overlay(
+    perceived: PerceivedFrame, probability_min: float, mapped_vehicle_m: Floats | None = None
+) -> Picture:
     """Image with edges, hypotheses, ids and ground; below it the disparity; beside it from above.
 
     Args:
@@ -38,11 +43,11 @@ def overlay(look: Look, probability_min: float, mapped_vehicle_m: Floats | None 
     Returns:
         `(height, width, 3)`, blue first, as OpenCV has it.
     """
-    picture = _draw_edges(_grey(look.frame.left), look)
-    picture = _draw_hypotheses(picture, look, probability_min)
-    depth = _colours(look.disparity.left)
+    picture = _draw_edges(_grey(perceived.frame.left), perceived)
+    picture = _draw_hypotheses(picture, perceived, probability_min)
+    depth = _colours(perceived.disparity.left)
     stacked = np.vstack([picture, depth])
-    above = _from_above(look, probability_min, mapped_vehicle_m)
+    above = _from_above(perceived, probability_min, mapped_vehicle_m)
     scale = stacked.shape[0] / above.shape[0]
     beside = cv2.resize(above, (int(above.shape[1] * scale), stacked.shape[0]))
     return np.hstack([stacked, beside]).astype(np.uint8, copy=False)
@@ -64,17 +69,21 @@ def _colours(disparity: NDArray[np.float32]) -> Picture:
     return np.where(valid[:, :, None], picture, 0).astype(np.uint8)
 
 
-def _draw_edges(picture: Picture, look: Look) -> Picture:
-    for edges, colour in zip(look.view.edges, (_LEFT_EDGE, _RIGHT_EDGE), strict=True):
+def _draw_edges(picture: Picture, perceived: PerceivedFrame) -> Picture:
+    for edges, colour in zip(perceived.view.edges, (_LEFT_EDGE, _RIGHT_EDGE), strict=True):
         column = np.clip(np.rint(edges.column_px).astype(int), 0, picture.shape[1] - 1)
         picture[edges.row_px, column] = colour
     return picture
 
 
-def _draw_hypotheses(picture: Picture, look: Look, probability_min: float) -> Picture:
-    found, ground = look.view.detections, look.view.ground
-    ids = dict(zip(look.tracks.detection.tolist(), look.tracks.ids.tolist(), strict=True))
-    confirmed = dict(zip(look.tracks.ids.tolist(), look.tracks.confirmed.tolist(), strict=True))
+def _draw_hypotheses(
+    picture: Picture, perceived: PerceivedFrame, probability_min: float
+) -> Picture:
+    found, ground = perceived.view.detections, perceived.view.ground
+    ids = dict(zip(perceived.tracks.detection.tolist(), perceived.tracks.ids.tolist(), strict=True))
+    confirmed = dict(
+        zip(perceived.tracks.ids.tolist(), perceived.tracks.confirmed.tolist(), strict=True)
+    )
     for row in range(len(found)):
         sure = found.probability[row] >= probability_min
         colour = _POLE if sure else _OTHER
@@ -102,7 +111,9 @@ def _draw_hypotheses(picture: Picture, look: Look, probability_min: float) -> Pi
     return picture
 
 
-def _from_above(look: Look, probability_min: float, mapped_vehicle_m: Floats | None) -> Picture:
+def _from_above(
+    perceived: PerceivedFrame, probability_min: float, mapped_vehicle_m: Floats | None
+) -> Picture:
     ahead, aside = _BEV_M
     picture: Picture = np.full(
         (int(ahead * _BEV_SCALE), int(2 * aside * _BEV_SCALE), 3), 25, np.uint8
@@ -112,7 +123,7 @@ def _from_above(look: Look, probability_min: float, mapped_vehicle_m: Floats | N
         x, y = float(point[0]), float(point[1])
         return round((aside - y) * _BEV_SCALE), round((ahead - x) * _BEV_SCALE)
 
-    region = look.view.region
+    region = perceived.view.region
     bins = len(region.free_range_m)
     span = region.bearing_max_rad - region.bearing_min_rad
     bearing = region.bearing_min_rad + (np.arange(bins) + 0.5) / bins * span
@@ -126,12 +137,12 @@ def _from_above(look: Look, probability_min: float, mapped_vehicle_m: Floats | N
     if mapped_vehicle_m is not None:
         for point in mapped_vehicle_m:
             cv2.circle(picture, pixel(point), 6, _MAP, 1, cv2.LINE_AA)
-    found = look.view.detections
+    found = perceived.view.detections
     for row in range(len(found)):
         sure = found.probability[row] >= probability_min
         _ellipse(picture, found.points_vehicle_m[row], found.covariance_m2[row], pixel,
                  _POLE if sure else _OTHER)  # fmt: skip
-    tracks = look.tracks
+    tracks = perceived.tracks
     for row in np.flatnonzero(tracks.confirmed).tolist():
         place = pixel(tracks.points_vehicle_m[row])
         cv2.drawMarker(picture, place, _TRACK, cv2.MARKER_CROSS, 7, 1)

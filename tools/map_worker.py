@@ -6,7 +6,7 @@ from pathlib import Path
 
 from polemap.build.build_map import observe
 from polemap.build.city.work import DriveTask
-from polemap.build.observe import DriveObservations
+from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import PoleScan
@@ -24,7 +24,7 @@ def open_part(path: Path, lap: str | None, seed: int) -> Drive:
 def scan(drive: Drive, settings: Settings, advance: Advance) -> list[PoleScan]:
     """Poles in the images; poles that were detected elsewhere go to the building as they are.
 
-    The building joins sightings over whole passes with the reference, which is stronger than any
+    The building joins detections over whole traversals with the reference, which is stronger than any
     tracking on odometry: a tracker before it would only lose some.
     """
     if drive.has_frames:
@@ -36,7 +36,7 @@ def scan(drive: Drive, settings: Settings, advance: Advance) -> list[PoleScan]:
 
 
 def observe_task(task: DriveTask) -> DriveObservations:
-    """Look at one drive and give what it contributes to the map."""
+    """Detect the poles of one drive and give what it contributes to the map."""
     settings = Settings.model_validate_json(task.settings)
     drive = open_part(Path(task.path), task.lap, task.seed)
     scans = scan(drive, settings, lambda _steps: None)

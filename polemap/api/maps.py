@@ -42,7 +42,7 @@ def build_map(
     def scans(drive: Drive) -> Sequence[PoleScan]:
         if drive.has_frames or not drive.scans:
             return scan_drive(drive, chosen.polemap, progress, stereo=chosen.stereo)
-        # the building joins sightings over whole passes, which tracking could only make fewer
+        # the building joins detections over whole traversals, which tracking could only make fewer
         return drive.scans
 
     several = [drives] if isinstance(drives, Drive) else list(drives)

@@ -14,7 +14,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.images import read_grey
 from polemap.drivelog.samples import Image, StereoFrame
-from polemap.perception import Look, PolePerception
+from polemap.perception import PerceivedFrame, PolePerception
 from polemap.settings import Settings
 from polemap.stereo.rig import StereoRig
 from polemap.tools.detect_pictures import overlay
@@ -31,7 +31,7 @@ class PolesInPair:
 
     detections: Detections
     probability_min: float
-    _look: Look
+    _perceived: PerceivedFrame
 
     @property
     def table(self) -> pd.DataFrame:
@@ -55,7 +55,7 @@ class PolesInPair:
 
     def picture(self) -> NDArray[np.uint8]:
         """Left image with edges and hypotheses, disparity, and a view from above; RGB."""
-        drawn = overlay(self._look, self.probability_min)
+        drawn = overlay(self._perceived, self.probability_min)
         return np.ascontiguousarray(drawn[:, :, ::-1])
 
 
@@ -90,6 +90,6 @@ class Perception(PolePerception):
         """
         pair = [read_grey(Path(i)) if isinstance(i, str | Path) else i for i in (left, right)]
         alone = PolePerception(self._pair_rig, self._settings.polemap, stereo=self._settings.stereo)
-        look = alone.look(StereoFrame(0.0, 0.0, 0, *pair))
+        perceived = alone.perceive(StereoFrame(0.0, 0.0, 0, *pair))
         minimum = self._settings.polemap.detection.probability_min
-        return PolesInPair(look.view.detections, minimum, look)
+        return PolesInPair(perceived.view.detections, minimum, perceived)

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from polemap.build.align import NO_SHIFT, Shift, register
 from polemap.build.city.tiles import Run, here, merge_tiles
 from polemap.build.config import MappingConfig
 from polemap.build.drift import measure_drift
+from polemap.build.drive_observations import DriveObservations, join_cannot_link, join_landmarks
 from polemap.build.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.build.history import COLUMN, OldMap, open_history, write_history
+from polemap.build.map_columns import building_reports, distinct, evidence_columns, weighted
 from polemap.build.merge import Merged
-from polemap.build.observe import DriveObservations, join_apart, join_landmarks
-from polemap.build.passes import PassLandmarks
-from polemap.build.summary import building_reports, distinct, evidence_columns, weighted
+from polemap.build.registration import NO_SHIFT, Shift, register
+from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.landmark_map import PoleMap, join_maps
 
@@ -71,7 +71,7 @@ def assemble_map(
     old = open_history(update) if update is not None and len(update) else None
     shifts = align_drives(ordered, old, config)
     if align:
-        ordered = [part.moved(shifts[part.sightings.drive]) for part in ordered]
+        ordered = [part.moved(shifts[part.detections.drive]) for part in ordered]
     drifts = measure_drift(
         [part.landmarks for part in ordered],
         config,
@@ -79,16 +79,18 @@ def assemble_map(
         between=align,
     )
     if drifts is not None:
-        ordered = [part.levelled(drift) for part, drift in zip(ordered, drifts, strict=True)]
+        ordered = [part.without_drift(drift) for part, drift in zip(ordered, drifts, strict=True)]
     landmarks = join_landmarks(
         [part.landmarks for part in ordered] + ([old.landmarks] if old else [])
     )
     stood = update.existence >= config.existence_min if update is not None else np.empty(0, bool)
-    apart = _all_apart(ordered, old, stood)
+    cannot_link = _all_cannot_link(ordered, old, stood)
     unresolved = [] if align else [shift.size_m for shift in shifts.values() if shift.significant]
     # drives that are known to disagree make the map no better than they are
     floor = float(np.sqrt(np.mean(np.square(unresolved)) / 2.0)) if unresolved else 0.0
-    merged, seen = merge_tiles(landmarks, apart, ordered, config, floor, run=run, tile_m=tile_m)
+    merged, seen = merge_tiles(
+        landmarks, cannot_link, ordered, config, floor, run=run, tile_m=tile_m
+    )
     evidences = _all_evidence(ordered, seen, old, merged)
     built = _finish(landmarks, merged, evidences, old, update, config, frame)
     return replace(
@@ -110,28 +112,28 @@ def align_drives(
         points = _solid(part.landmarks, config)
         shift = register(points, fixed, config.align_max_m) if len(fixed) else NO_SHIFT
         shift = shift if shift.significant else NO_SHIFT
-        shifts[part.sightings.drive] = shift
+        shifts[part.detections.drive] = shift
         fixed = np.concatenate([fixed, shift.points(points)])
     return shifts
 
 
-def _solid(landmarks: PassLandmarks, config: MappingConfig) -> Floats:
+def _solid(landmarks: TraversalLandmarks, config: MappingConfig) -> Floats:
     return landmarks.points_m[landmarks.observations >= config.observations_min]
 
 
-def _all_apart(
+def _all_cannot_link(
     ordered: Sequence[DriveObservations], old: OldMap | None, stood: NDArray[np.bool_]
 ) -> Whole:
-    parts = [part.apart for part in ordered]
+    parts = [part.cannot_link for part in ordered]
     lengths = [len(part.landmarks) for part in ordered]
     if old is not None:
-        parts.append(_decided_apart(old, stood))
+        parts.append(_cannot_link_of_map(old, stood))
         lengths.append(len(old.landmarks))
-    return join_apart(parts, lengths)
+    return join_cannot_link(parts, lengths)
 
 
-def _decided_apart(old: OldMap, stood: NDArray[np.bool_]) -> Whole:
-    """Neighbouring passes that the old map held to be two standing poles stay two."""
+def _cannot_link_of_map(old: OldMap, stood: NDArray[np.bool_]) -> Whole:
+    """Neighbouring traversals that the old map held to be two standing poles stay two."""
     if not len(old.pole):
         return np.empty((0, 2), dtype=np.int64)
     pairs = KDTree(old.landmarks.points_m).query_pairs(2.0, output_type="ndarray").reshape(-1, 2)
@@ -149,7 +151,7 @@ def _all_evidence(
     """What every drive, old and new, counted at every pole; in the order of time."""
     detection = detection_probability(parts)
     drives = [
-        (part.sightings.drive, part.sightings.start_s, evidence(seen, detection))
+        (part.detections.drive, part.detections.start_s, evidence(seen, detection))
         for part, seen in zip(ordered, parts, strict=True)
     ]
     if old is not None:
@@ -160,28 +162,28 @@ def _all_evidence(
 
 
 def _carried(counts: Evidence, old: OldMap, cluster: Whole, points: Floats) -> Evidence:
-    """Counts at the old map's poles, at the clusters that their passes went to.
+    """Counts at the old map's poles, at the clusters that their traversals went to.
 
-    Where the old map has no pole, its drives' looks are those at the nearest pole that it has: a
+    Where the old map has no pole, its drives' scans are those at the nearest pole that it has: a
     drive that had that one in view would have seen this one too, had it stood there.
     """
     n = len(points)
-    seen, looks = np.zeros(n), np.zeros(n)
-    heirs = _heirs(old, cluster)
-    np.add.at(seen, heirs[:, 1], counts.seen[heirs[:, 0]])
-    np.add.at(looks, heirs[:, 1], counts.looks[heirs[:, 0]])
-    new = np.setdiff1d(np.arange(n), heirs[:, 1])
+    seen, views = np.zeros(n), np.zeros(n)
+    successors = _successors(old, cluster)
+    np.add.at(seen, successors[:, 1], counts.detected[successors[:, 0]])
+    np.add.at(views, successors[:, 1], counts.expected[successors[:, 0]])
+    new = np.setdiff1d(np.arange(n), successors[:, 1])
     if len(new) and len(cluster):
         distance, row = KDTree(old.landmarks.points_m).query(points[new])
         near = np.asarray(distance) <= _NEIGHBOUR_M
-        looks[new[near]] = counts.looks[old.pole[np.asarray(row)[near]]]
-    return Evidence(seen, looks)
+        views[new[near]] = counts.expected[old.pole[np.asarray(row)[near]]]
+    return Evidence(seen, views)
 
 
-def _heirs(old: OldMap, cluster: Whole) -> Whole:
-    """Pairs `(pole of the old map, cluster)`: where most of its sightings went.
+def _successors(old: OldMap, cluster: Whole) -> Whole:
+    """Pairs `(pole of the old map, cluster)`: where most of its detections went.
 
-    Stray passes that now stand alone inherit nothing.
+    Stray traversals that now stand alone inherit nothing.
     """
     width = int(cluster.max(initial=0)) + 1
     links, row = np.unique(old.pole * width + cluster, return_inverse=True)
@@ -194,7 +196,7 @@ def _heirs(old: OldMap, cluster: Whole) -> Whole:
 
 
 def _finish(
-    landmarks: PassLandmarks,
+    landmarks: TraversalLandmarks,
     merged: Merged,
     drives: list[tuple[str, float, Evidence]],
     old: OldMap | None,
@@ -205,17 +207,17 @@ def _finish(
     n = len(merged)
     prior = np.zeros(n)
     old_rows = merged.owner[len(landmarks) - len(old.pole) :] if old is not None else None
-    heirs = _heirs(old, old_rows) if old is not None and old_rows is not None else None
-    if old is not None and heirs is not None:
-        np.maximum.at(prior, heirs[:, 1], old.prior_log_odds[heirs[:, 0]])
+    successors = _successors(old, old_rows) if old is not None and old_rows is not None else None
+    if old is not None and successors is not None:
+        np.maximum.at(prior, successors[:, 1], old.prior_log_odds[successors[:, 0]])
     stands = existence([counts for _, _, counts in drives], config, prior)
     observations = np.bincount(merged.owner, landmarks.observations, n).astype(np.int64)
     known = np.zeros(n, dtype=bool)
-    if heirs is not None and update is not None:
+    if successors is not None and update is not None:
         stood = update.existence >= config.existence_min
-        known[heirs[stood[heirs[:, 0]], 1]] = True
+        known[successors[stood[successors[:, 0]], 1]] = True
     solid = known | (observations >= config.observations_min)
-    ids = _ids(len(merged), heirs, update)
+    ids = _ids(len(merged), successors, update)
     every = PoleMap(
         frame=frame,
         ids=ids,
@@ -245,7 +247,7 @@ def _finish(
 def _with_history(
     every: PoleMap,
     wanted: NDArray[np.bool_],
-    landmarks: PassLandmarks,
+    landmarks: TraversalLandmarks,
     owner: Whole,
     drives: list[tuple[str, float, Evidence]],
 ) -> PoleMap:
@@ -254,13 +256,13 @@ def _with_history(
     return replace(every, extra={**every.extra, COLUMN: history})
 
 
-def _ids(n: int, heirs: Whole | None, update: PoleMap | None) -> Whole:
+def _ids(n: int, successors: Whole | None, update: PoleMap | None) -> Whole:
     """Poles of the old map keep their ids; new ones are numbered from south to north."""
-    if heirs is None or update is None:
+    if successors is None or update is None:
         return np.arange(n, dtype=np.int64)
     none = np.iinfo(np.int64).max
     ids = np.full(n, none, dtype=np.int64)
-    np.minimum.at(ids, heirs[:, 1], update.ids[heirs[:, 0]])
+    np.minimum.at(ids, successors[:, 1], update.ids[successors[:, 0]])
     fresh = ids == none
     ids[fresh] = int(update.ids.max()) + 1 + np.arange(np.count_nonzero(fresh))
     return ids

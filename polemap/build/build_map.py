@@ -1,4 +1,4 @@
-"""The room on one screen: drives to scans, sightings, pass landmarks, poles, evidence, map."""
+"""Map building on one screen: drives to scans, traversal landmarks, poles, evidence, map."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from polemap.build.assemble import BuiltMap, assemble_map
 from polemap.build.config import MappingConfig
-from polemap.build.observe import DriveObservations, observe_drive
+from polemap.build.drive_observations import DriveObservations, observe_drive
 from polemap.config import PolemapConfig
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError

@@ -1,4 +1,4 @@
-"""Slow drift of the reference within a drive: passes of one street that disagree are levelled.
+"""Slow drift of the reference within a drive: traversals of one street that disagree are levelled.
 
 A reference that wanders by half a metre or more in minutes shows the same street twice, apart. Its
 error is modelled as a shift that changes along the drive, linear between knots:
@@ -6,10 +6,10 @@ error is modelled as a shift that changes along the drive, linear between knots:
     min  sum_pairs rho(|p_i + c(t_i) - p_j - c(t_j)|)
          +  sum_k [ |c_k+1 - c_k|^2 T / (2 sd^2 dt)  +  |c_k|^2 dt / (2 T sd^2) ]
 
-with pairs of landmarks that two passes made of what may be one pole (mutually nearest), the last
-two terms being a random walk that holds on to zero with the time T and the sd of the settings. The
-pairs are found again with a radius that shrinks (graduated non-convexity), so that a shift larger
-than the distance of neighbouring poles' landmarks is found if most poles agree about it.
+with pairs of landmarks that two traversals made of what may be one pole (mutually nearest), the
+last two terms being a random walk that holds on to zero with the time T and the sd of the settings.
+The pairs are found again with a radius that shrinks (graduated non-convexity), so that a shift
+larger than the distance of neighbouring poles' landmarks is found if most poles agree about it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from scipy.sparse.linalg import splu
 
 from polemap.build.config import MappingConfig
 from polemap.build.merge import close_pairs, shared_sd
-from polemap.build.passes import PassLandmarks
+from polemap.build.traversals import TraversalLandmarks
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -32,7 +32,7 @@ Whole = NDArray[np.int64]
 KNOT_S = 10.0
 _RADII_M = (3.0, 2.0, 1.3, 0.9, 0.7, 0.6, 0.6)
 _SOFT = 3.0  # of a radius: beyond this share of it a pair loses weight
-_LEAST_M = 0.05  # no two passes agree better than this
+_LEAST_M = 0.05  # no two traversals agree better than this
 _PAIRS_MIN = 20
 _EXACT_KNOTS = 4000  # of more the sd is not computed, but taken from the settings
 
@@ -61,7 +61,7 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True)
-class _Passes:
+class _Traversals:
     """Solid landmarks of all drives: their times, drives, and knots with weights `(n, 2)`."""
 
     points_m: Floats
@@ -72,50 +72,50 @@ class _Passes:
     share: Floats
 
 
-def middle_s(landmarks: PassLandmarks) -> Floats:
-    """When a landmark was seen, `(n,)`: the middle of its pass."""
+def middle_s(landmarks: TraversalLandmarks) -> Floats:
+    """When a landmark was seen, `(n,)`: the middle of its traversal."""
     return (landmarks.first_s + landmarks.last_s) / 2.0
 
 
 def measure_drift(
-    drives: Sequence[PassLandmarks],
+    drives: Sequence[TraversalLandmarks],
     config: MappingConfig,
     *,
-    fixed: PassLandmarks | None = None,
+    fixed: TraversalLandmarks | None = None,
     between: bool = False,
 ) -> list[Drift] | None:
-    """How each drive's reference wandered; None where passes agree well enough.
+    """How each drive's reference wandered; None where traversals agree well enough.
 
     Args:
         drives: landmarks of each drive.
         config: settings.
         fixed: landmarks of an old map, which stays where it is.
-        between: whether passes of different drives are laid onto each other too.
+        between: whether traversals of different drives are laid onto each other too.
     """
     solid = [part for part in drives if len(part)]
     if not solid:
         return None
     parts = [*drives, *([fixed] if fixed is not None and between else [])]
     knots = [_knots(part) for part in drives]
-    passes = _passes(parts, knots, config)
-    if _disagreement(passes, config, between) < config.drift_least_m:
+    traversals = _traversals(parts, knots, config)
+    if _disagreement(traversals, config, between) < config.drift_least_m:
         return None
     starts = np.cumsum([0, *(len(k) for k in knots)])
     prior = _prior(knots, config)
     move: Floats = np.zeros((int(starts[-1]), 2))
     information = prior
     for radius in _RADII_M:
-        pairs = _pairs(passes, move, radius, config, between)
+        pairs = _pairs(traversals, move, radius, config, between)
         if len(pairs) < _PAIRS_MIN:
             return None
-        move, information = _solve(passes, pairs, move, prior, radius)
+        move, information = _solve(traversals, pairs, move, prior, radius)
     sd = _posterior_sd(information, config)
     return [
         Drift(k, move[a:b], sd[a:b]) for k, a, b in zip(knots, starts, starts[1:], strict=False)
     ]
 
 
-def _knots(part: PassLandmarks) -> Floats:
+def _knots(part: TraversalLandmarks) -> Floats:
     if not len(part):
         return np.zeros(1)
     time = middle_s(part)
@@ -123,9 +123,9 @@ def _knots(part: PassLandmarks) -> Floats:
     return np.asarray(time.min() + KNOT_S * np.arange(max(count, 1)), dtype=np.float64)
 
 
-def _passes(
-    parts: Sequence[PassLandmarks], knots: Sequence[Floats], config: MappingConfig
-) -> _Passes:
+def _traversals(
+    parts: Sequence[TraversalLandmarks], knots: Sequence[Floats], config: MappingConfig
+) -> _Traversals:
     columns: list[tuple[Floats, Floats, Whole, Floats, Whole, Floats]] = []
     start = 0
     for number, part in enumerate(parts):
@@ -150,30 +150,30 @@ def _passes(
             start += len(knots[number])
         drive = np.full(len(rows), number, dtype=np.int64)
         columns.append((part.points_m[rows], variance, drive, time, knot, share))
-    return _Passes(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+    return _Traversals(*(np.concatenate(column) for column in zip(*columns, strict=True)))
 
 
-def _moves(passes: _Passes, move: Floats) -> Floats:
+def _moves(traversals: _Traversals, move: Floats) -> Floats:
     # landmarks of the old map have no knots and stay
-    moved = np.where(passes.knot[:, :, None] >= 0, move[passes.knot], 0.0)
-    return np.asarray(np.einsum("nk,nkj->nj", passes.share, moved))
+    moved = np.where(traversals.knot[:, :, None] >= 0, move[traversals.knot], 0.0)
+    return np.asarray(np.einsum("nk,nkj->nj", traversals.share, moved))
 
 
 def _pairs(
-    passes: _Passes, move: Floats, radius_m: float, config: MappingConfig, between: bool
+    traversals: _Traversals, move: Floats, radius_m: float, config: MappingConfig, between: bool
 ) -> Whole:
-    """Pairs `(k, 2)` of landmarks of two passes, each the nearest of the other's pass."""
-    points = passes.points_m + _moves(passes, move)
+    """Pairs `(k, 2)` of landmarks of two traversals, each the nearest of the other's traversal."""
+    points = traversals.points_m + _moves(traversals, move)
     pairs = close_pairs(points, radius_m)
     first, second = pairs[:, 0], pairs[:, 1]
-    same = passes.drive[first] == passes.drive[second]
-    apart = np.abs(passes.time_s[first] - passes.time_s[second]) > config.pass_gap_s
-    pairs = pairs[(same & apart) | (~same & between)]
+    same = traversals.drive[first] == traversals.drive[second]
+    cannot_link = np.abs(traversals.time_s[first] - traversals.time_s[second]) > config.pass_gap_s
+    pairs = pairs[(same & cannot_link) | (~same & between)]
     if not len(pairs):
         return np.empty((0, 2), dtype=np.int64)
     distance = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
-    slot = np.floor(passes.time_s / config.pass_gap_s).astype(np.int64)
-    _, group = np.unique(np.stack([passes.drive, slot]), axis=1, return_inverse=True)
+    slot = np.floor(traversals.time_s / config.pass_gap_s).astype(np.int64)
+    _, group = np.unique(np.stack([traversals.drive, slot]), axis=1, return_inverse=True)
     group = group.reshape(-1)
     groups = int(group.max()) + 1
     keep = np.ones(len(pairs), dtype=bool)
@@ -187,13 +187,15 @@ def _pairs(
     return np.asarray(pairs[keep], dtype=np.int64)
 
 
-def _disagreement(passes: _Passes, config: MappingConfig, between: bool) -> float:
-    """The sd an axis by which passes differ beyond the detector's own error."""
-    pairs = _pairs(passes, np.zeros((int(passes.knot.max(initial=0)) + 1, 2)), 2.0, config, between)
+def _disagreement(traversals: _Traversals, config: MappingConfig, between: bool) -> float:
+    """The sd an axis by which traversals differ beyond the detector's own error."""
+    pairs = _pairs(
+        traversals, np.zeros((int(traversals.knot.max(initial=0)) + 1, 2)), 2.0, config, between
+    )
     if len(pairs) < _PAIRS_MIN:
         return 0.0
-    offset = passes.points_m[pairs[:, 0]] - passes.points_m[pairs[:, 1]]
-    own = passes.variance_m2[pairs].sum(axis=1)[:, None, None] * np.eye(2)
+    offset = traversals.points_m[pairs[:, 0]] - traversals.points_m[pairs[:, 1]]
+    own = traversals.variance_m2[pairs].sum(axis=1)[:, None, None] * np.eye(2)
     return shared_sd(offset, own, 2.0) / float(np.sqrt(2.0))
 
 
@@ -219,28 +221,28 @@ def _prior(knots: Sequence[Floats], config: MappingConfig) -> csc_matrix:
 
 
 def _solve(
-    passes: _Passes, pairs: Whole, move: Floats, prior: csc_matrix, radius_m: float
+    traversals: _Traversals, pairs: Whole, move: Floats, prior: csc_matrix, radius_m: float
 ) -> tuple[Floats, csc_matrix]:
     """Corrections `(knots, 2)` from the pairs, and their information."""
     first, second = pairs[:, 0], pairs[:, 1]
-    points = passes.points_m + _moves(passes, move)
+    points = traversals.points_m + _moves(traversals, move)
     length = np.hypot(*(points[first] - points[second]).T)
     scale = radius_m / _SOFT
-    variance = passes.variance_m2[first] + passes.variance_m2[second] + _LEAST_M**2
+    variance = traversals.variance_m2[first] + traversals.variance_m2[second] + _LEAST_M**2
     weight = 1.0 / (np.maximum(variance, (scale / 2.0) ** 2) * (1.0 + (length / scale) ** 2))
     rows = np.arange(len(pairs))
     at, column, value = [], [], []
     for side, sign in ((first, 1.0), (second, -1.0)):
         for end in (0, 1):
-            known = passes.knot[side, end] >= 0
+            known = traversals.knot[side, end] >= 0
             at.append(rows[known])
-            column.append(passes.knot[side, end][known])
-            value.append(sign * passes.share[side, end][known])
+            column.append(traversals.knot[side, end][known])
+            value.append(sign * traversals.share[side, end][known])
     shape = (len(pairs), prior.shape[0])
     design = csc_matrix(
         coo_matrix((np.concatenate(value), (np.concatenate(at), np.concatenate(column))), shape)
     )
-    wanted = passes.points_m[second] - passes.points_m[first]
+    wanted = traversals.points_m[second] - traversals.points_m[first]
     weighted = design.multiply(weight[:, None])
     information = csc_matrix(design.T @ weighted + prior)
     right = design.T @ (weight[:, None] * wanted)

@@ -1,8 +1,9 @@
 """Which drive said what about a pole: kept in the map, so that the next drive can be merged.
 
 A pole's history is a JSON list in the column `history`, an entry a drive in the order of time:
-`{"drive", "start_s", "seen", "looks", "passes"}`; looks are independent ones (`existence`), and a
-pass is the row of `passes.PassLandmarks` that it contributed. Merging the passes of a map with
+`{"drive", "start_s", "seen", "looks", "passes"}`: in how many independent scans (`existence`) the
+drive detected it (seen) and should have (looks), and the rows of `traversals.TraversalLandmarks`
+that it contributed (passes). Merging the traversals of a map with
 those of new drives is the same as building the map from all drives at once.
 """
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.existence import Evidence
-from polemap.build.passes import PassLandmarks
+from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.errors import InputError
 from polemap.map.landmark_map import PoleMap
 
@@ -25,14 +26,14 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 COLUMN = "history"
-_PASS = (
+_TRAVERSAL = (
     "east_m", "north_m", "var_east_m2", "var_north_m2", "cov_east_north_m2", "reference_sd_m",
     "lever_m", "direction_rad", "width_m", "width_sd_m", "height_m", "observations", "first_s",
     "last_s", "directions", "range_min_m", "gain_east_m_per_px", "gain_north_m_per_px",
     "aligned_sd_m", "height_sd_m", "range_max_m",
 )  # fmt: skip
-# values of a pass in maps of before, and what stands for those that they lack
-_PASS_BEFORE = 16
+# values of a traversal in maps of before, and what stands for those that they lack
+_TRAVERSAL_BEFORE = 16
 _LACKING = (0.0, 0.0, 0.0, None, None)
 
 
@@ -41,20 +42,20 @@ class OldMap:
     """A map taken apart again for an update.
 
     Attributes:
-        landmarks: all passes in its history.
+        landmarks: all traversals in its history.
         pole: `(len(landmarks),)` row of the map that each belongs to.
         evidence: what each drive counted at each row of the map, in the order of time.
         prior_log_odds: `(n,)` for poles that have no history (a CSV, a public inventory).
     """
 
-    landmarks: PassLandmarks
+    landmarks: TraversalLandmarks
     pole: Whole
     evidence: tuple[tuple[str, float, Evidence], ...]
     prior_log_odds: Floats
 
 
 def write_history(
-    landmarks: PassLandmarks,
+    landmarks: TraversalLandmarks,
     owner: Whole,
     drives: Sequence[tuple[str, float, Evidence]],
     wanted: NDArray[np.bool_],
@@ -64,25 +65,25 @@ def write_history(
     count = len(wanted)
     order = np.argsort(owner, kind="stable")
     bounds = np.searchsorted(owner[order], np.arange(count + 1))
-    values = _pass_values(landmarks)
+    values = _traversal_values(landmarks)
     for pole in range(count):
         if not wanted[pole]:
             texts.append("")
             continue
         rows = order[bounds[pole] : bounds[pole + 1]]
         entries = []
-        for name, start, seen in drives:
+        for name, start, counts in drives:
             of_drive = rows[landmarks.drive[rows] == name]
-            if not len(of_drive) and seen.looks[pole] <= 0.0:
+            if not len(of_drive) and counts.expected[pole] <= 0.0:
                 continue
-            passes = sorted(_rounded(values[row]) for row in of_drive)
+            traversals = sorted(_rounded(values[row]) for row in of_drive)
             entries.append(
                 {
                     "drive": name,
                     "start_s": round(start, 3),
-                    "seen": round(float(seen.seen[pole]), 3),
-                    "looks": round(float(seen.looks[pole]), 3),
-                    "passes": passes,
+                    "seen": round(float(counts.detected[pole]), 3),
+                    "looks": round(float(counts.expected[pole]), 3),
+                    "passes": traversals,
                 }
             )
         texts.append(json.dumps(entries, separators=(",", ":")).replace("NaN", "null"))
@@ -94,7 +95,7 @@ def _rounded(row: Floats) -> list[float]:
     return [round(float(value), 9) for value in row]
 
 
-def _pass_values(landmarks: PassLandmarks) -> Floats:
+def _traversal_values(landmarks: TraversalLandmarks) -> Floats:
     covariance = landmarks.covariance_m2
     columns = {
         "east_m": landmarks.points_m[:, 0],
@@ -106,12 +107,12 @@ def _pass_values(landmarks: PassLandmarks) -> Floats:
         "gain_north_m_per_px": landmarks.gain_m_per_px[:, 1],
     }
     return np.column_stack(
-        [columns[n] if n in columns else getattr(landmarks, n).astype(float) for n in _PASS]
+        [columns[n] if n in columns else getattr(landmarks, n).astype(float) for n in _TRAVERSAL]
     )
 
 
 def open_history(pole_map: PoleMap) -> OldMap:
-    """Take a map apart; poles without a history become one pass of a drive called `map`.
+    """Take a map apart; poles without a history become one traversal of a drive called `map`.
 
     Raises:
         InputError: a history that cannot be read.
@@ -128,20 +129,20 @@ def open_history(pole_map: PoleMap) -> OldMap:
         entries = _entries(str(text), int(pole_map.ids[pole]))
         if not entries:
             prior[pole] = _log_odds(float(pole_map.existence[pole]))
-            rows.append(_as_pass(pole_map, pole))
+            rows.append(_as_traversal(pole_map, pole))
             poles.append(pole)
             names.append("map")
             starts.append(-np.inf)
         for entry in entries:
             key = (float(entry["start_s"]), str(entry["drive"]))
             counts = drives.setdefault(key, Evidence(np.zeros(n), np.zeros(n)))
-            counts.seen[pole], counts.looks[pole] = entry["seen"], entry["looks"]
+            counts.detected[pole], counts.expected[pole] = entry["seen"], entry["looks"]
             for values in entry["passes"]:
-                rows.append([*values, *(_LACKING if len(values) == _PASS_BEFORE else ())])
+                rows.append([*values, *(_LACKING if len(values) == _TRAVERSAL_BEFORE else ())])
                 poles.append(pole)
                 names.append(key[1])
                 starts.append(key[0])
-    table = np.array(rows, dtype=np.float64).reshape(-1, len(_PASS))
+    table = np.array(rows, dtype=np.float64).reshape(-1, len(_TRAVERSAL))
     evidence = tuple((name, start, drives[start, name]) for start, name in sorted(drives))
     return OldMap(
         _landmarks(table, np.array(names, dtype=np.str_), np.array(starts, dtype=np.float64)),
@@ -159,7 +160,7 @@ def _entries(text: str, pole: int) -> list[Mapping[str, Any]]:
         for entry in entries:
             float(entry["start_s"]), str(entry["drive"]), float(entry["seen"])
             float(entry["looks"])
-            if any(len(v) not in (_PASS_BEFORE, len(_PASS)) for v in entry["passes"]):
+            if any(len(v) not in (_TRAVERSAL_BEFORE, len(_TRAVERSAL)) for v in entry["passes"]):
                 raise ValueError("a pass has another number of values")
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(
@@ -173,7 +174,7 @@ def _log_odds(probability: float) -> float:
     return float(np.log(p / (1.0 - p)))
 
 
-def _as_pass(pole_map: PoleMap, row: int) -> list[float]:
+def _as_traversal(pole_map: PoleMap, row: int) -> list[float]:
     covariance = pole_map.covariance_m2[row]
     return [
         float(pole_map.points_m[row, 0]), float(pole_map.points_m[row, 1]),
@@ -184,8 +185,8 @@ def _as_pass(pole_map: PoleMap, row: int) -> list[float]:
     ]  # fmt: skip
 
 
-def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> PassLandmarks:
-    column = {name: table[:, i] for i, name in enumerate(_PASS)}
+def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> TraversalLandmarks:
+    column = {name: table[:, i] for i, name in enumerate(_TRAVERSAL)}
     covariance = np.empty((len(table), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = column["var_east_m2"], column["var_north_m2"]
     covariance[:, 0, 1] = covariance[:, 1, 0] = column["cov_east_north_m2"]
@@ -194,7 +195,7 @@ def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> PassLa
         "first_s", "last_s", "range_min_m", "aligned_sd_m",
         "height_sd_m", "range_max_m",
     )  # fmt: skip
-    return PassLandmarks(
+    return TraversalLandmarks(
         drive=names,
         start_s=starts,
         points_m=table[:, :2].copy(),

@@ -12,7 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from polemap.build.align import NO_SHIFT, Shift, register
+from polemap.build.registration import NO_SHIFT, Shift, register
 from polemap.drivelog.frames import require_same_frame
 from polemap.map.landmark_map import PoleMap, join_maps
 

@@ -1,12 +1,13 @@
-"""Pass landmarks of all drives to poles: clustering, and fusion with a covariance that holds.
+"""Traversal landmarks of all drives to poles: clustering, and fusion with honest covariances.
 
-Errors are kept apart by what shares them: the detector's (white within a pass, from `passes`), the
-reference's that a pass shares, and the one that a whole drive shares. How large the latter two are
-is measured where passes or drives meet, and taken as the reference states it where they do not.
-A stereo camera's disparity errs too: by a part that all looks of one pass at a stem share, and by
-one (calibration) that everything shares. It moves a pole by its gain, along the mean ray; the
-common part is carried through all means as a parameter that is considered but not estimated
-(Schmidt), so that two passes from opposite sides cancel it and two from one side do not.
+Errors are kept apart by what shares them: the detector's (white within a traversal), the
+reference's that a traversal shares, and the one that a whole drive shares. How large the latter two
+are is measured where traversals or drives meet, and taken as the reference states it where they do
+not. A stereo camera's disparity errs too: by a part that all scans of one traversal share at a
+pole, and by one (calibration) that everything shares. It moves a pole by its gain, along the mean
+ray; the common part is carried through all means as a parameter that is considered but not
+estimated (Schmidt), so that two traversals from opposite sides cancel it and two from one side do
+not.
 """
 
 from __future__ import annotations
@@ -18,30 +19,30 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from polemap.build.config import MappingConfig
-from polemap.build.passes import PassLandmarks
 from polemap.build.robust_means import weighted_mean
+from polemap.build.traversals import TraversalLandmarks
 from polemap.vehicle.kalman import chi_square_quantile
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 _MEDIAN = chi_square_quantile(0.5, 2)
-_PAIRS_MIN = 20  # fewer meetings do not measure an error
+_PAIRS_MIN = 20  # fewer pairs do not measure an error
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceError:
-    """Standard deviations an axis that passes and drives share; `pairs` that measured them."""
+    """Standard deviations an axis that traversals and drives share; `pairs` that measured them."""
 
-    pass_sd_m: float | None
+    traversal_sd_m: float | None
     drive_sd_m: float
-    pass_pairs: int
+    traversal_pairs: int
     drive_pairs: int
 
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """Poles from clusters of pass landmarks; `owner` `(n,)` is the pole of each landmark."""
+    """Poles from clusters of traversal landmarks; `owner` `(n,)` is the pole of each landmark."""
 
     points_m: Floats
     covariance_m2: Floats
@@ -53,10 +54,14 @@ class Merged:
 
 
 def shared_covariance(
-    landmarks: PassLandmarks, config: MappingConfig, pass_sd_m: float | None
+    landmarks: TraversalLandmarks, config: MappingConfig, traversal_sd_m: float | None
 ) -> Floats:
-    """What all sightings of a pass have in common, `(n, 2, 2)`: reference and systematic errors."""
-    sd = landmarks.reference_sd_m if pass_sd_m is None else np.full(len(landmarks), pass_sd_m)
+    """Reference and systematic errors `(n, 2, 2)` that all detections of a traversal share."""
+    sd = (
+        landmarks.reference_sd_m
+        if traversal_sd_m is None
+        else np.full(len(landmarks), traversal_sd_m)
+    )
     c, s = np.cos(landmarks.direction_rad), np.sin(landmarks.direction_rad)
     across = np.stack([-s, c], axis=1)
     turn = (config.reference_yaw_sd_rad * landmarks.lever_m)[:, None, None] ** 2
@@ -106,13 +111,15 @@ def close_pairs(points_m: Floats, most_m: float) -> Whole:
     return np.asarray(pairs[np.hypot(offset[:, 0], offset[:, 1]) <= most_m])
 
 
-def meetings(landmarks: PassLandmarks, config: MappingConfig, apart: Whole) -> Whole:
+def revisit_pairs(
+    landmarks: TraversalLandmarks, config: MappingConfig, cannot_link: Whole
+) -> Whole:
     """Pairs `(k, 2)` of landmarks that are each other's nearest and may be one pole."""
     solid = np.flatnonzero(landmarks.observations >= config.observations_min)
     if len(solid) < 2:
         return np.empty((0, 2), dtype=np.int64)
     pairs = solid[close_pairs(landmarks.points_m[solid], config.merge_max_m)]
-    pairs = pairs[~_listed(pairs, apart, len(landmarks))]
+    pairs = pairs[~_listed(pairs, cannot_link, len(landmarks))]
     length = np.linalg.norm(
         landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]], axis=1
     )
@@ -131,14 +138,14 @@ def _listed(pairs: Whole, listed: Whole, n: int) -> NDArray[np.bool_]:
 
 
 def measure_reference(
-    landmarks: PassLandmarks, config: MappingConfig, pairs: Whole
+    landmarks: TraversalLandmarks, config: MappingConfig, pairs: Whole
 ) -> ReferenceError:
-    """How far passes of a drive, and drives, disagree about the same poles.
+    """How far traversals of a drive, and drives, disagree about the same poles.
 
     Args:
         landmarks: of all drives.
         config: settings.
-        pairs: its `meetings` `(k, 2)`.
+        pairs: its `revisit_pairs` `(k, 2)`.
     """
     first, second = pairs[:, 0], pairs[:, 1]
     offset = landmarks.points_m[first] - landmarks.points_m[second]
@@ -148,25 +155,27 @@ def measure_reference(
     # what everything shares moves both: only the difference of their gains tells them apart
     own = own + _common(landmarks.gain_m_per_px[first] - landmarks.gain_m_per_px[second], config)
     same = landmarks.drive[first] == landmarks.drive[second]
-    pass_sd = None
+    traversal_sd = None
     if np.count_nonzero(same) >= _PAIRS_MIN:
-        pass_sd = shared_sd(offset[same], own[same], config.merge_max_m) / np.sqrt(2.0)
+        traversal_sd = shared_sd(offset[same], own[same], config.merge_max_m) / np.sqrt(2.0)
     drive_sd, other = 0.0, ~same
     if np.count_nonzero(other) >= _PAIRS_MIN:
-        with_pass = own[other]
-        if pass_sd is not None:
-            with_pass = with_pass + np.eye(2) * 2.0 * pass_sd**2
-            drive_sd = shared_sd(offset[other], with_pass, config.merge_max_m) / np.sqrt(2.0)
+        with_traversal = own[other]
+        if traversal_sd is not None:
+            with_traversal = with_traversal + np.eye(2) * 2.0 * traversal_sd**2
+            drive_sd = shared_sd(offset[other], with_traversal, config.merge_max_m) / np.sqrt(2.0)
         else:
-            # no pass meets another of its drive: all disagreement counts as the passes' own
-            pass_sd = shared_sd(offset[other], with_pass, config.merge_max_m) / np.sqrt(2.0)
+            # no traversal meets another of its drive: all disagreement is the traversals' own
+            traversal_sd = shared_sd(offset[other], with_traversal, config.merge_max_m) / np.sqrt(
+                2.0
+            )
     return ReferenceError(
-        pass_sd, drive_sd, int(np.count_nonzero(same)), int(np.count_nonzero(other))
+        traversal_sd, drive_sd, int(np.count_nonzero(same)), int(np.count_nonzero(other))
     )
 
 
 def cluster(
-    landmarks: PassLandmarks, config: MappingConfig, apart: Whole, error: ReferenceError
+    landmarks: TraversalLandmarks, config: MappingConfig, cannot_link: Whole, error: ReferenceError
 ) -> Whole:
     """Cluster number of each landmark `(n,)`, numbered from south to north.
 
@@ -176,7 +185,7 @@ def cluster(
     n = len(landmarks)
     if not n:
         return np.empty(0, dtype=np.int64)
-    spread = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.pass_sd_m)
+    spread = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.traversal_sd_m)
     spread = spread + np.eye(2) * (error.drive_sd_m**2 + config.merge_slack_m**2)
     spread = spread + _common(landmarks.gain_m_per_px, config)
     pairs = close_pairs(landmarks.points_m, config.merge_max_m)
@@ -184,12 +193,12 @@ def cluster(
     both = spread[pairs[:, 0]] + spread[pairs[:, 1]]
     likeness = np.sum(offset * np.linalg.solve(both, offset[..., None])[..., 0], axis=1)
     gate = chi_square_quantile(config.merge_probability, 2)
-    usable = (likeness <= gate) & ~_listed(pairs, apart, n)
+    usable = (likeness <= gate) & ~_listed(pairs, cannot_link, n)
     pairs, likeness = pairs[usable], likeness[usable]
     # ties are broken by place, never by row: the order in which drives come must not matter
     middle = (landmarks.points_m[pairs[:, 0]] + landmarks.points_m[pairs[:, 1]]) / 2.0
     order = np.lexsort((middle[:, 0], middle[:, 1], likeness))
-    joiner = _Joiner(landmarks.points_m, spread, apart, gate, config.merge_max_m)
+    joiner = _Joiner(landmarks.points_m, spread, cannot_link, gate, config.merge_max_m)
     for first, second in pairs[order].tolist():
         joiner.join(first, second)
     return number_from_south(joiner.roots(), landmarks.points_m)
@@ -208,19 +217,19 @@ def number_from_south(root: Whole, points: Floats) -> Whole:
 
 
 class _Joiner:
-    """Union-find that keeps each cluster's mean, and refuses to join what must stay apart."""
+    """Union-find that keeps each cluster's mean, and refuses to join what must not be linked."""
 
     def __init__(
-        self, points: Floats, spread: Floats, apart: Whole, gate: float, most_m: float
+        self, points: Floats, spread: Floats, cannot_link: Whole, gate: float, most_m: float
     ) -> None:
         self._parent = list(range(len(points)))
         self._information = list(np.linalg.inv(spread))
         self._vector = [a @ b for a, b in zip(self._information, points, strict=True)]
         self._gate, self._most_m = gate, most_m
-        self._enemies: dict[int, set[int]] = {}
-        for first, second in apart.tolist():
-            self._enemies.setdefault(first, set()).add(second)
-            self._enemies.setdefault(second, set()).add(first)
+        self._forbidden: dict[int, set[int]] = {}
+        for first, second in cannot_link.tolist():
+            self._forbidden.setdefault(first, set()).add(second)
+            self._forbidden.setdefault(second, set()).add(first)
 
     def _find(self, row: int) -> int:
         while self._parent[row] != row:
@@ -230,7 +239,7 @@ class _Joiner:
 
     def join(self, first: int, second: int) -> None:
         a, b = self._find(first), self._find(second)
-        if a == b or b in self._enemies.get(a, ()):
+        if a == b or b in self._forbidden.get(a, ()):
             return
         covariance_a, covariance_b = (np.linalg.inv(self._information[k]) for k in (a, b))
         offset = covariance_a @ self._vector[a] - covariance_b @ self._vector[b]
@@ -240,24 +249,24 @@ class _Joiner:
         self._parent[b] = a
         self._information[a] = self._information[a] + self._information[b]
         self._vector[a] = self._vector[a] + self._vector[b]
-        for enemy in self._enemies.pop(b, set()):
-            self._enemies[enemy].discard(b)
-            self._enemies[enemy].add(a)
-            self._enemies.setdefault(a, set()).add(enemy)
+        for other in self._forbidden.pop(b, set()):
+            self._forbidden[other].discard(b)
+            self._forbidden[other].add(a)
+            self._forbidden.setdefault(a, set()).add(other)
 
     def roots(self) -> Whole:
         return np.array([self._find(row) for row in range(len(self._parent))], dtype=np.int64)
 
 
 def fuse(
-    landmarks: PassLandmarks, owner: Whole, config: MappingConfig, error: ReferenceError
+    landmarks: TraversalLandmarks, owner: Whole, config: MappingConfig, error: ReferenceError
 ) -> tuple[Floats, Floats]:
     """Means `(m, 2)` and covariances `(m, 2, 2)` of the clusters.
 
-    Passes of one drive are averaged first, each with its own and the pass's shared error; then
-    the drives, each with the drive's shared error.
+    Traversals of one drive are averaged first, each with its own and its shared error; then the
+    drives, each with the drive's shared error.
     """
-    own = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.pass_sd_m)
+    own = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.traversal_sd_m)
     names, drive = np.unique(landmarks.drive, return_inverse=True)
     groups, group = np.unique(owner * len(names) + drive, return_inverse=True)
     point, covariance, gain = weighted_mean(
@@ -269,7 +278,7 @@ def fuse(
     point, covariance, gain = weighted_mean(point, covariance, poles, clusters, gain)
     # no repetition averages away what the detector does wrong each time
     covariance = covariance + np.eye(2) * config.systematic_sd_m**2 + _common(gain, config)
-    # passes that were laid onto each other are off together
+    # traversals that were laid onto each other are off together
     number = np.maximum(np.bincount(owner, minlength=clusters), 1)
     off = np.bincount(owner, landmarks.aligned_sd_m**2, clusters) / number
     return point, covariance + off[:, None, None] * np.eye(2)

@@ -1,4 +1,4 @@
-"""Means that outliers hardly pull, of many landmarks at once: of sightings, and of passes."""
+"""Means that outliers hardly pull, of many landmarks at once: of detections, and of traversals."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-# Mahalanobis distances from which a sighting, and a whole pass, lose weight
-_SIGHTING_HUBER, _PASS_HUBER = 2.0, 2.5
+# Mahalanobis distances from which a detection, and a whole traversal, lose weight
+_DETECTION_HUBER, _TRAVERSAL_HUBER = 2.0, 2.5
 
 
-def mean_of_sightings(
+def mean_of_detections(
     points_m: Floats, covariance_m2: Floats, gain_m_per_px: Floats, rows: Whole, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Iteratively reweighted mean (Huber) of points with covariances, for all landmarks at once.
 
     Returns:
-        Points `(n, 2)`, covariances `(n, 2, 2)` as if sightings were independent, scaled up where
-        they scatter more than they claim, the weight of each sighting `(len(rows),)`, and what the
-        same mean makes of the sightings' gains `(n, 2)`.
+        Points `(n, 2)`, covariances `(n, 2, 2)` as if detections were independent, scaled up where
+        they scatter more than they claim, the weight of each detection `(len(rows),)`, and what the
+        same mean makes of the detections' gains `(n, 2)`.
     """
     information: Floats = np.linalg.inv(covariance_m2).astype(np.float64, copy=False)
     point, total = np.zeros((n, 2)), np.zeros((n, 2, 2))
@@ -30,7 +30,7 @@ def mean_of_sightings(
         total = _sums(weighted, rows, n)
         point = _means(total, weighted, points_m, rows)
         distance = _distances(points_m - point[rows], information)
-        weight = _huber(distance, _SIGHTING_HUBER)
+        weight = _huber(distance, _DETECTION_HUBER)
     gain = _means(total, weighted, gain_m_per_px, rows)
     count = np.bincount(rows, minlength=n)
     excess = np.bincount(rows, weight * distance**2, n) / np.maximum(2.0 * (count - 1), 1.0)
@@ -54,7 +54,7 @@ def weighted_mean(
         total = _sums(weighted, group, n)
         mean = _means(total, weighted, points, group)
         distance = _distances(points - mean[group], information)
-        weight = np.where(enough, _huber(distance, _PASS_HUBER), 1.0)
+        weight = np.where(enough, _huber(distance, _TRAVERSAL_HUBER), 1.0)
     carried = _means(total, weighted, gain, group)
     return mean, np.asarray(np.linalg.inv(total), dtype=np.float64), carried
 

@@ -30,10 +30,12 @@ class DetectionConfig(BaseModel):
         0.15, ge=0.0, le=1.0, description="From here on the disparity is fitted to the images."
     )
     disparity_sd_px: float = Field(
-        0.15, gt=0.0, description="Error that a whole stem shares, beside what all poles share."
+        0.15,
+        gt=0.0,
+        description="Error that a whole candidate shares, beside what all poles share.",
     )
     matcher_sd_px: float = Field(0.25, ge=0.0, description="More of it without the fit.")
-    column_sd_px: float = Field(0.7, gt=0.0, description="Error of a stem's centre column.")
+    column_sd_px: float = Field(0.7, gt=0.0, description="Error of a candidate's centre column.")
     across_sd_m: float = Field(0.03, ge=0.0, description="Of the axis at ground level, sideways.")
     across_sd_share: float = Field(0.1, ge=0.0, le=1.0, description="More of it, in widths.")
     extension_sd_m: float = Field(

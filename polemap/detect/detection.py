@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.config import DetectionConfig
-from polemap.detect.features import Profiles, measure
+from polemap.detect.features import Profiles, measure_features
 from polemap.detect.ground import Ground, fit_ground
-from polemap.detect.hypotheses import Stems, find_slices, find_stems
+from polemap.detect.hypotheses import Hypotheses, find_hypotheses, find_slices
 from polemap.detect.refine import refine_disparity
 from polemap.detect.visibility import visible_region
 from polemap.drivelog.samples import Image, VisibleRegion
@@ -95,9 +95,9 @@ def detect(
     maps = upright_maps(disparity, config.row_step_px)
     ground = fit_ground(maps, rig)
     edges = depth_edges(maps, config.step_min_px, config.step_min_m / focal_baseline)
-    stems = find_stems(find_slices(*edges, rig, config), ground, rig, config)
-    profiles = measure(stems, maps, left, ground, rig)
-    probability = np.full(len(stems), 0.5)
+    hypotheses = find_hypotheses(find_slices(*edges, rig, config), ground, rig, config)
+    profiles = measure_features(hypotheses, maps, left, ground, rig)
+    probability = np.full(len(hypotheses), 0.5)
     if classifier is not None:
         probability = classifier.probability(profiles.features)
     region = visible_region(maps, ground, rig, config)
@@ -108,16 +108,16 @@ def detect(
         right,
         profiles.left_px[likely],
         profiles.right_px[likely],
-        stems.top_px[likely],
-        stems.bottom_px[likely],
-        stems.slope[likely],
+        hypotheses.top_px[likely],
+        hypotheses.bottom_px[likely],
+        hypotheses.slope[likely],
         refined[likely],
     )
     refined[likely] = fit.disparity_px
     # the matcher's own value, where the fit failed, is worth less than it claims
     refined_sd = np.hypot(refined_sd, config.matcher_sd_px)
     refined_sd[likely] = np.where(fit.trusted, fit.sd_px, refined_sd[likely])
-    found = _locate(stems, profiles, refined, refined_sd, probability, rig, config)
+    found = _locate(hypotheses, profiles, refined, refined_sd, probability, rig, config)
     distance = np.hypot(*(found.points_vehicle_m - region.origin_vehicle_m).T)
     found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
     found = _suppress(found) if classifier is not None else found
@@ -125,7 +125,7 @@ def detect(
 
 
 def _locate(
-    stems: Stems,
+    hypotheses: Hypotheses,
     profiles: Profiles,
     disparity: Floats,
     disparity_sd: Floats,
@@ -149,8 +149,10 @@ def _locate(
     sd_column = np.hypot(config.column_sd_px, profiles.flank_sd_px / np.sqrt(2.0))
     sd_across = np.hypot(surface / rig.focal_px * sd_column, config.across_sd_m)
     # the axis is extended down to the ground: the farther for its length, the worse
-    length_px = np.maximum(stems.bottom_px - stems.top_px, _SHORTEST_M * disparity / rig.baseline_m)
-    extended = profiles.foot_row_px - 0.5 * (stems.bottom_px + stems.top_px)
+    length_px = np.maximum(
+        hypotheses.bottom_px - hypotheses.top_px, _SHORTEST_M * disparity / rig.baseline_m
+    )
+    extended = profiles.foot_row_px - 0.5 * (hypotheses.bottom_px + hypotheses.top_px)
     share = np.clip(extended / length_px, 0.0, _FARTHEST)
     sd_across = np.hypot(sd_across, config.extension_sd_m * share)
     # what is wide may be two things that stand side by side
@@ -167,9 +169,9 @@ def _locate(
     return Detections(
         left_px=profiles.left_px,
         right_px=profiles.right_px,
-        top_px=stems.top_px,
-        bottom_px=stems.bottom_px,
-        slope=stems.slope,
+        top_px=hypotheses.top_px,
+        bottom_px=hypotheses.bottom_px,
+        slope=hypotheses.slope,
         disparity_px=disparity,
         points_vehicle_m=points,
         covariance_m2=covariance,

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.detect import feature_products
-from polemap.detect.flanks import sharpen
+from polemap.detect.flanks import refine_flanks
 from polemap.detect.ground import Ground
-from polemap.detect.hypotheses import Stems
-from polemap.detect.surroundings import HEIGHTS_M, Place, Surroundings, look_around
+from polemap.detect.hypotheses import Hypotheses
+from polemap.detect.surroundings import HEIGHTS_M, Place, Surroundings, sample_surroundings
 from polemap.stereo.depth_edges import UprightMaps
 from polemap.stereo.rig import StereoRig
 
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 _SINGLE = (
     "log_height",  # upright extent with both flanks
     "log_run",  # longest unbroken part of it
-    "on_share",  # of the visible heights that show the stem's surface
+    "on_share",  # of the visible heights that show the candidate's surface
     "on_low",  # the same below 1 m
     "free_both",  # share of those with free space on both sides
     "free_left_near",
@@ -32,7 +32,7 @@ _SINGLE = (
     "free_left_wide",
     "free_right_wide",
     "hidden_share",  # heights hidden by something nearer
-    "near_beside",  # something nearer beside the stem
+    "near_beside",  # something nearer beside the candidate
     "base_m",  # height of the lowest slice
     "top_m",
     "width_m",
@@ -54,10 +54,10 @@ _SINGLE = (
     "pixels",  # log of the width in pixels
     "neighbours",  # other hypotheses of like depth within 1.5 m
     "border",
-    "same_beside",  # the stem's own depth beside it: part of something wide
+    "same_beside",  # the candidate's own depth beside it: part of something wide
     "blank_beside",  # nothing measured beside it
     "above_free",  # of the heights right above the top, those with free space
-    "above_same",  # those with the stem's own depth
+    "above_same",  # those with the candidate's own depth
 )
 NAMES = (*_SINGLE, *feature_products.names(_SINGLE))
 _LOW_M = 1.0
@@ -69,9 +69,9 @@ class Profiles:
 
     Attributes:
         features: `(n, len(NAMES))`.
-        left_px, right_px: flanks at the stem's centre row, sharpened on the image gradient.
+        left_px, right_px: flanks at the candidate's centre row, sharpened on the image gradient.
         foot_column_px, foot_row_px: where the axis meets the ground.
-        disparity_px: of the stem's surface.
+        disparity_px: of the candidate's surface.
         disparity_sd_px: standard deviation of it, from the scatter of the samples.
         flank_sd_px: standard deviation of a flank's column.
         top_m: height of the top above the ground.
@@ -90,41 +90,41 @@ class Profiles:
     border: NDArray[np.bool_]
 
 
-def measure(
-    stems: Stems,
+def measure_features(
+    hypotheses: Hypotheses,
     maps: UprightMaps,
     image: NDArray[np.uint8] | NDArray[np.uint16],
     ground: Ground,
     rig: StereoRig,
 ) -> Profiles:
     """Features and refined geometry of every hypothesis."""
-    left_px, right_px, flank_sd, edge_left, edge_right, smooth = sharpen(stems, image)
-    ground_row = ground.row_px(stems.column_px, stems.disparity_px)
-    place = Place.of(stems, left_px, right_px, ground_row, rig)
-    around = look_around(stems, place, maps)
-    refined, scatter, count = _robust(around.own_px, stems.disparity_px)
-    border = (left_px < 3.0 + stems.disparity_px) | (right_px > maps.left.shape[1] - 4.0)
+    left_px, right_px, flank_sd, edge_left, edge_right, smooth = refine_flanks(hypotheses, image)
+    ground_row = ground.row_px(hypotheses.column_px, hypotheses.disparity_px)
+    place = Place.of(hypotheses, left_px, right_px, ground_row, rig)
+    around = sample_surroundings(hypotheses, place, maps)
+    refined, scatter, count = _robust(around.own_px, hypotheses.disparity_px)
+    border = (left_px < 3.0 + hypotheses.disparity_px) | (right_px > maps.left.shape[1] - 4.0)
     single = {
         **_evidence(around),
-        **_shape(stems, place, maps.row_step_px),
-        **_situation(stems, rig),
+        **_shape(hypotheses, place, maps.row_step_px),
+        **_situation(hypotheses, rig),
         "depth_scatter": np.minimum(scatter / place.tolerance_px, 2.0),
         "edge_left": edge_left,
         "edge_right": edge_right,
         "smooth": smooth,
         "border": border.astype(np.float64),
     }
-    foot_row = ground.row_px(stems.column_px, refined)
+    foot_row = ground.row_px(hypotheses.column_px, refined)
     return Profiles(
         features=_in_order(single),
         left_px=left_px,
         right_px=right_px,
-        foot_column_px=place.axis_px + stems.slope * (foot_row - stems.row_px),
+        foot_column_px=place.axis_px + hypotheses.slope * (foot_row - hypotheses.row_px),
         foot_row_px=foot_row,
         disparity_px=refined,
         disparity_sd_px=scatter / np.sqrt(np.maximum(count / 3.0, 1.0)),
         flank_sd_px=flank_sd,
-        top_m=(ground_row - stems.top_px) / place.per_m,
+        top_m=(ground_row - hypotheses.top_px) / place.per_m,
         border=border,
     )
 
@@ -133,7 +133,7 @@ def _evidence(around: Surroundings) -> dict[str, Floats]:
     """Features of what the heights show, mostly as the share of those that could show it."""
     on, visible, both = around.on, around.visible, around.free_both
     clear, low = visible & ~around.hidden, HEIGHTS_M <= _LOW_M
-    near, wide = 0, 3  # offsets beside the stem
+    near, wide = 0, 3  # offsets beside the candidate
     share_of = {  # heights that show it, and heights of which they are a share
         "on_share": (on & clear, clear),
         "on_low": (on & clear & low, clear & low),
@@ -160,38 +160,38 @@ def _evidence(around: Surroundings) -> dict[str, Floats]:
     }
 
 
-def _shape(stems: Stems, place: Place, row_step_px: int) -> dict[str, Floats]:
+def _shape(hypotheses: Hypotheses, place: Place, row_step_px: int) -> dict[str, Floats]:
     """Features of size, straightness and completeness."""
-    base_m = (place.ground_row_px - stems.bottom_px) / place.per_m
-    top_m = (place.ground_row_px - stems.top_px) / place.per_m
+    base_m = (place.ground_row_px - hypotheses.bottom_px) / place.per_m
+    top_m = (place.ground_row_px - hypotheses.top_px) / place.per_m
     width_m = place.width_px / place.per_m
-    slices_full = np.maximum((stems.bottom_px - stems.top_px) / row_step_px + 1.0, 1.0)
+    slices_full = np.maximum((hypotheses.bottom_px - hypotheses.top_px) / row_step_px + 1.0, 1.0)
     return {
         "base_m": np.clip(base_m, -0.5, 3.0),
         "top_m": np.clip(top_m, 0.0, 4.0),
         "width_m": width_m,
         "width_square": width_m**2,
         "thinness": np.log(np.maximum(top_m - base_m, 0.05) / np.maximum(width_m, 0.03)),
-        "lean": np.abs(stems.slope),
-        "wobble": stems.centre_sd_px / (0.5 + 0.2 * place.width_px),
-        "width_scatter": stems.width_sd_px / (0.5 + 0.2 * place.width_px),
-        "fill": np.minimum(stems.slices / slices_full, 1.0),
+        "lean": np.abs(hypotheses.slope),
+        "wobble": hypotheses.centre_sd_px / (0.5 + 0.2 * place.width_px),
+        "width_scatter": hypotheses.width_sd_px / (0.5 + 0.2 * place.width_px),
+        "fill": np.minimum(hypotheses.slices / slices_full, 1.0),
         "pixels": np.log(place.width_px),
     }
 
 
-def _situation(stems: Stems, rig: StereoRig) -> dict[str, Floats]:
+def _situation(hypotheses: Hypotheses, rig: StereoRig) -> dict[str, Floats]:
     """Features of how far it stands, before what, and beside how many others."""
-    range_m = rig.focal_px * rig.baseline_m / stems.disparity_px
-    far = np.maximum(np.stack([stems.far_left_px, stems.far_right_px]), 1.0)
+    range_m = rig.focal_px * rig.baseline_m / hypotheses.disparity_px
+    far = np.maximum(np.stack([hypotheses.far_left_px, hypotheses.far_right_px]), 1.0)
     behind_m = rig.focal_px * rig.baseline_m / far - range_m
     step_left, step_right = np.log1p(np.minimum(np.maximum(behind_m, 0.05), 30.0))
-    lateral_m = (stems.column_px - rig.cx_px) / rig.focal_px * range_m
+    lateral_m = (hypotheses.column_px - rig.cx_px) / rig.focal_px * range_m
     aside = np.abs(lateral_m[:, None] - lateral_m) < 1.5
     close = aside & (np.abs(range_m[:, None] - range_m) < 2.0)
     return {
-        "occluding_left": stems.occluding_left,
-        "occluding_right": stems.occluding_right,
+        "occluding_left": hypotheses.occluding_left,
+        "occluding_right": hypotheses.occluding_right,
         "step_left": step_left,
         "step_right": step_right,
         "range_m": range_m / 10.0,

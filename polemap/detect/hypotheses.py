@@ -1,8 +1,8 @@
 """Depth edges to pole hypotheses: pairs of flanks, grouped along an upright line.
 
 A flank left and a flank right of one disparity bound a slice of an object in one image row. Slices
-above each other form a stem. Stems of one line are joined over gaps (foliage, a car in front), and
-the columns of their flanks are sharpened on the image gradient.
+above each other form a hypothesis. Hypotheses of one line are joined over gaps (foliage, a car in
+front), and the columns of their flanks are sharpened on the image gradient.
 
 Source: S16, section III-A (contours of depth edges grouped to hypotheses).
 """
@@ -27,7 +27,7 @@ _ROWS_APART = 4  # slices are linked over so many looked-at rows
 _REACH_PX = 3  # and so many columns
 _DOWN = np.repeat(np.arange(1, _ROWS_APART + 1), 2 * _REACH_PX + 1)
 _ASIDE = np.tile(np.arange(-_REACH_PX, _REACH_PX + 1), _ROWS_APART)
-_SLICES_MIN = 3  # of a stem
+_SLICES_MIN = 3  # of a hypothesis
 _RANKS = 6  # right flanks that are tried for a left one
 
 
@@ -46,7 +46,7 @@ class Slices:
 
 
 @dataclass(frozen=True, slots=True)
-class Stems:
+class Hypotheses:
     """Upright groups of slices, one a row of every array.
 
     The centre line is `column_px + slope * (row - row_px)`; `(n,)` each.
@@ -82,9 +82,9 @@ class Stems:
     def __len__(self) -> int:
         return len(self.column_px)
 
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Stems:
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Hypotheses:
         """The chosen rows."""
-        return Stems(*(getattr(self, name)[rows] for name in self.__slots__))
+        return Hypotheses(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
 def find_slices(
@@ -126,20 +126,22 @@ def find_slices(
     )
 
 
-def find_stems(slices: Slices, ground: Ground, rig: StereoRig, config: DetectionConfig) -> Stems:
+def find_hypotheses(
+    slices: Slices, ground: Ground, rig: StereoRig, config: DetectionConfig
+) -> Hypotheses:
     """Groups of slices that could be a pole: upright, thin, tall enough, near the ground."""
     if len(slices.row_px) == 0:
         return _fit(slices, np.empty(0, dtype=np.int64), 0)
     label, count = _link(slices, rig, config)
     # what has too few slices before outliers are left out has too few after, too
     label, count = _renumber(label, np.bincount(label, minlength=count) >= _SLICES_MIN)
-    stems = _fit(slices, label, count)
-    tall = (stems.bottom_px - stems.top_px) * rig.baseline_m / stems.disparity_px
-    enough = (stems.slices >= _SLICES_MIN) & (tall >= 0.5 * config.height_min_m)
-    stems, (label, count) = stems.take(enough), _renumber(label, enough)
-    if len(stems) == 0:
-        return stems
-    merged, count = _join(stems, rig, config)
+    hypotheses = _fit(slices, label, count)
+    tall = (hypotheses.bottom_px - hypotheses.top_px) * rig.baseline_m / hypotheses.disparity_px
+    enough = (hypotheses.slices >= _SLICES_MIN) & (tall >= 0.5 * config.height_min_m)
+    hypotheses, (label, count) = hypotheses.take(enough), _renumber(label, enough)
+    if len(hypotheses) == 0:
+        return hypotheses
+    merged, count = _join(hypotheses, rig, config)
     label = np.where(label >= 0, merged[label], -1)
     return _keep(_fit(slices, label, count), ground, rig, config)
 
@@ -172,7 +174,7 @@ def _link(slices: Slices, rig: StereoRig, config: DetectionConfig) -> tuple[Ints
     return components(n, one[alike], two[alike])
 
 
-def _fit(slices: Slices, label: Ints, count: int) -> Stems:
+def _fit(slices: Slices, label: Ints, count: int) -> Hypotheses:
     """Line, width and scatter of every group; slices with label -1 are left out."""
     used = np.flatnonzero(label >= 0)
     label = label[used]
@@ -202,7 +204,7 @@ def _fit(slices: Slices, label: Ints, count: int) -> Stems:
         np.multiply(dv, centre, out=moments[1])
         spread, slope = totals(moments)
         slope = slope / np.maximum(spread, 1.0)
-        # a short stem says little about its lean: the upright prior shrinks the slope
+        # a short hypothesis says little about its lean: the upright prior shrinks the slope
         slope = slope * spread / (spread + 200.0)
         np.subtract(centre - column0[label], slope[label] * dv, out=off[0])
         np.subtract(width, mean_width[label], out=off[1])
@@ -221,7 +223,7 @@ def _fit(slices: Slices, label: Ints, count: int) -> Stems:
     sides += [slices.occluding_left, slices.occluding_right]
     beside = np.concatenate([values[used] for values in sides]).reshape(4, n_used)
     far_left, far_right, occluding_left, occluding_right = totals(beside) / n
-    return Stems(
+    return Hypotheses(
         column_px=column0,
         row_px=row0,
         slope=slope,
@@ -240,41 +242,46 @@ def _fit(slices: Slices, label: Ints, count: int) -> Stems:
     )
 
 
-def _join(stems: Stems, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, int]:
-    """Components of stems that continue each other over a gap: one line, disparity and width."""
-    lower = stems.row_px[:, None] < stems.row_px[None, :]
+def _join(hypotheses: Hypotheses, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, int]:
+    """Components of hypotheses that continue each other over a gap: one line, depth and width."""
+    lower = hypotheses.row_px[:, None] < hypotheses.row_px[None, :]
     gap_m = np.maximum(
-        stems.top_px[None, :] - stems.bottom_px[:, None],
+        hypotheses.top_px[None, :] - hypotheses.bottom_px[:, None],
         0.0,
-    ) * (rig.baseline_m / stems.disparity_px[:, None])
+    ) * (rig.baseline_m / hypotheses.disparity_px[:, None])
     # both centre lines, and a plain vertical, are extended to the other's centre
-    down = stems.row_px[None, :] - stems.row_px[:, None]
-    across = stems.column_px[None, :] - stems.column_px[:, None]
+    down = hypotheses.row_px[None, :] - hypotheses.row_px[:, None]
+    across = hypotheses.column_px[None, :] - hypotheses.column_px[:, None]
     slope = (
-        stems.slope[:, None] * stems.slices[:, None] + stems.slope[None, :] * stems.slices[None, :]
-    ) / (stems.slices[:, None] + stems.slices[None, :])
+        hypotheses.slope[:, None] * hypotheses.slices[:, None]
+        + hypotheses.slope[None, :] * hypotheses.slices[None, :]
+    ) / (hypotheses.slices[:, None] + hypotheses.slices[None, :])
     miss = np.abs(across - slope * down)
-    scale = 1.5 + 0.15 * 0.5 * (stems.width_px[:, None] + stems.width_px[None, :])
-    alike = np.abs(stems.disparity_px[:, None] - stems.disparity_px[None, :]) <= (
-        0.6 + 0.025 * stems.disparity_px[:, None]
+    scale = 1.5 + 0.15 * 0.5 * (hypotheses.width_px[:, None] + hypotheses.width_px[None, :])
+    alike = np.abs(hypotheses.disparity_px[:, None] - hypotheses.disparity_px[None, :]) <= (
+        0.6 + 0.025 * hypotheses.disparity_px[:, None]
     )
-    wide = np.maximum(stems.width_px[:, None], stems.width_px[None, :])
-    thin = np.minimum(stems.width_px[:, None], stems.width_px[None, :])
+    wide = np.maximum(hypotheses.width_px[:, None], hypotheses.width_px[None, :])
+    thin = np.minimum(hypotheses.width_px[:, None], hypotheses.width_px[None, :])
     link = lower & alike & (miss <= scale) & (gap_m <= 1.5) & (wide <= 1.6 * thin + 1.5)
-    return components(len(stems), *np.nonzero(link))
+    return components(len(hypotheses), *np.nonzero(link))
 
 
-def _keep(stems: Stems, ground: Ground, rig: StereoRig, config: DetectionConfig) -> Stems:
+def _keep(
+    hypotheses: Hypotheses, ground: Ground, rig: StereoRig, config: DetectionConfig
+) -> Hypotheses:
     """Drop what cannot be a pole: too short, too wide, too high above the ground, leaning."""
-    per_px = rig.baseline_m / np.maximum(stems.disparity_px, 0.1)
-    height = (stems.bottom_px - stems.top_px) * per_px
-    base = (ground.row_px(stems.column_px, stems.disparity_px) - stems.bottom_px) * per_px
-    width = stems.width_px * per_px
+    per_px = rig.baseline_m / np.maximum(hypotheses.disparity_px, 0.1)
+    height = (hypotheses.bottom_px - hypotheses.top_px) * per_px
+    base = (
+        ground.row_px(hypotheses.column_px, hypotheses.disparity_px) - hypotheses.bottom_px
+    ) * per_px
+    width = hypotheses.width_px * per_px
     good = (height >= config.height_min_m) & (base <= config.base_max_m)
     good &= base + height >= 0.4  # kerbs
     good &= (width >= config.width_min_m) & (width <= config.width_max_m)
-    good &= (np.abs(np.arctan(stems.slope)) <= config.lean_max_rad) & (height >= 0.8 * width)
-    kept = stems.take(good)
+    good &= (np.abs(np.arctan(hypotheses.slope)) <= config.lean_max_rad) & (height >= 0.8 * width)
+    kept = hypotheses.take(good)
     if len(kept) > config.hypotheses_max:
         tallest = np.argsort(-(kept.slices / kept.disparity_px))[: config.hypotheses_max]
         kept = kept.take(np.sort(tallest))

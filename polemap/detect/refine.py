@@ -1,7 +1,7 @@
-"""The disparity of a whole stem, straight from the two images.
+"""The disparity of a whole pole, straight from the two images.
 
 A dense matcher looks at every pixel for itself; its values at thin things lean towards the
-background and towards whole pixels. A stem is one surface at one disparity: the columns between
+background and towards whole pixels. A pole is one surface at one disparity: the columns between
 and on its flanks, over all its rows, are fitted to the right image at once, with gain and offset of
 the cameras as unknowns, by Gauss-Newton with robust weights.
 
@@ -52,12 +52,12 @@ def refine_disparity(
     slope: Floats,
     disparity_px: Floats,
 ) -> Fit:
-    """Fit the disparity of every stem; arrays are `(n,)`.
+    """Fit the disparity of every pole; arrays are `(n,)`.
 
     Args:
         left, right: the rectified pair.
         left_px, right_px: flanks at mid height.
-        top_px, bottom_px: rows between which the stem is seen.
+        top_px, bottom_px: rows between which the pole is seen.
         slope: columns a row.
         disparity_px: where to begin, and what stays where the fit fails.
     """
@@ -132,7 +132,7 @@ def _partners(
 
 
 def _doubt(residual: Floats) -> Floats:
-    """What the weights `(n, k)` are divided by: 1 plus the square against the stem's own spread."""
+    """What the weights `(n, k)` are divided by: 1 plus the square against the pole's own spread."""
     ordered, half = np.sort(np.abs(residual), axis=1), residual.shape[1] // 2
     spread = 1.4826 * (0.5 * (ordered[:, half - 1] + ordered[:, half])) + 0.3
     return np.asarray(1.0 + (residual / (2.0 * spread[:, None])) ** 2)
@@ -143,7 +143,7 @@ def _solved(design: Floats, weight: Floats) -> tuple[Floats, Floats]:
     sums = (design[:, :3] * weight[:, None]) @ np.swapaxes(design, 1, 2)
     normal = sums[:, :, :3]
     scale = normal[:, 0, 0] + normal[:, 1, 1] + normal[:, 2, 2]
-    # a stem whose partner lies outside the right image has no equation at all
+    # a pole whose partner lies outside the right image has no equation at all
     normal = normal + (1e-9 * scale + 1e-12)[:, None, None] * np.eye(3)
     return np.asarray(np.linalg.solve(normal, sums[:, :, 3:])[:, :, 0], np.float64), normal
 
@@ -162,7 +162,7 @@ def _quality(
 
 
 class _Smooth:
-    """The part of an image in which all stems lie, smoothed; the whole would take twice as long."""
+    """The part of an image in which all poles lie, smoothed; the whole would take twice as long."""
 
     def __init__(self, image: Image, rows: Whole, first: int, last: int) -> None:
         top, left = max(int(rows.min()) - 1, 0), max(first - 1, 0)  # a pixel more for the smoothing

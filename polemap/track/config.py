@@ -31,7 +31,7 @@ class TrackingConfig(BaseModel):
     gate_max_m: float = Field(2.5, gt=0.0, description="Of the gate, whatever the covariance.")
     period_s: float = Field(0.1, gt=0.0, description="Frames closer than this are less evidence.")
     error_time_s: float = Field(
-        0.3, ge=0.0, description="Correlation time of a stem's position error."
+        0.3, ge=0.0, description="Correlation time of a pole's position error."
     )
     confirm_existence: float = Field(0.85, gt=0.0, lt=1.0)
     confirm_hits: int = Field(2, ge=1)

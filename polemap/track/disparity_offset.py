@@ -5,7 +5,7 @@ measures every disparity too large or too small by the same tenths of a pixel. N
 show it, far ones stand decimetres off: range is wrong by range^2 / (focal length x baseline) a
 pixel, so a pole that stands still seems to move while the car drives toward it. An odometry that
 tells too long or too short a way moves it alike, so the odometry's scale is solved along with the
-offset. All sightings of a track give its place, offset and scale by least squares; what the tracks
+offset. All detections of a track give its place, offset and scale by least squares; what the tracks
 say of the latter two is averaged by their information.
 """
 
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 _OVER_S = 1.0  # not seen for so long, a track is over
 _LEAST_SPAN_M = 1.5
 _LEAST_VARIANCE = 1e-12  # keeps what is known for sure, or did not change, from dividing by zero
-_STEM_SD_PX = 0.15  # measured on simulated stems; leaves and thin posts have more
+_POLE_SD_PX = 0.15  # measured on simulated poles; leaves and thin posts have more
 _LARGEST_SD = 3.0  # a track that contradicts the others by more was mixed up
 
 
@@ -107,7 +107,7 @@ class DisparityOffset:
         ray = points_vehicle_m - self._origin_m
         return np.asarray(-ray * (ray @ self._ahead)[:, np.newaxis] / self._focal_baseline)
 
-    def see(self, sighting: Sighting, tracks: Tracks, elapsed_s: float) -> None:
+    def learn(self, sighting: Sighting, tracks: Tracks, elapsed_s: float) -> None:
         """Add the detections that tracks took; tracks that ended count for good.
 
         Args:
@@ -118,7 +118,7 @@ class DisparityOffset:
         if self._config.disparity_offset_sd_px == 0.0:
             return
         time_s = self._config.error_time_s
-        # errors of a stem last: a frame is worth as much as its part of two correlation times
+        # errors of a pole last: a frame is worth as much as its part of two correlation times
         share = min(1.0, elapsed_s / (2.0 * time_s)) if time_s > 0 else 1.0
         for row in np.flatnonzero(tracks.detection >= 0):
             which = int(tracks.detection[row])
@@ -164,8 +164,8 @@ class DisparityOffset:
         reduced = np.linalg.solve(place, np.column_stack([cross, total.weighted[:2]]))
         said = total.information[2:, 2:] - cross.T @ reduced[:, :2]
         weighted = total.weighted[2:] - cross.T @ reduced[:, 2]
-        # every stem has an error of its own, which no number of frames averages out
-        first = said[:, 0] / (_STEM_SD_PX**-2 + said[0, 0])
+        # every pole has an error of its own, which no number of frames averages out
+        first = said[:, 0] / (_POLE_SD_PX**-2 + said[0, 0])
         said, weighted = said - np.outer(first, said[0]), weighted - first * weighted[0]
         before, after = np.linalg.inv(known[0]), np.linalg.inv(known[0] + said)
         change = float(after[0] @ (known[1] + weighted) - before[0] @ known[1])

@@ -7,7 +7,7 @@ What all disparities share, an error of the camera, is no noise at all: every tr
 leans on that error (a Schmidt filter's considered state), so that it can be moved when the error
 is known better, and its covariance told with what is not known yet.
 
-Errors of one stem's disparity hardly change from frame to frame, so a frame is not a fresh
+Errors of one pole's disparity hardly change from frame to frame, so a frame is not a fresh
 measurement. They are modelled as exponentially correlated with `error_time_s`; a white error of
 variance R (1 + r) / (1 - r), r = exp(-dt / error_time_s), is worth as much in the long run, and
 that is what the filter is told. The first frame of a track counts with R itself.

@@ -19,7 +19,7 @@ from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
 from polemap.evaluation.detections import evidence, match, record, score_frames, score_tracks
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
-from polemap.perception import PolePerception, looks, scan_drive
+from polemap.perception import PolePerception, perceive_drive, scan_drive
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, make_matcher
 from polemap.track.config import TrackingConfig
@@ -52,9 +52,9 @@ def _approach(tracking: TrackingConfig, frames: int = 8) -> tuple[list[PoleScan]
     )
     scans = []
     for step, (left, right, _) in enumerate(rendered):
-        perception.push_odometry(OdometrySample(0.1 * step, 0.1 * step, 10.0, 0.0))
+        perception.record_odometry(OdometrySample(0.1 * step, 0.1 * step, 10.0, 0.0))
         scans.append(
-            perception.push_frame(StereoFrame(0.1 * step, 0.1 * step + 0.08, step, left, right))
+            perception.scan_frame(StereoFrame(0.1 * step, 0.1 * step + 0.08, step, left, right))
         )
     return scans, driven
 
@@ -82,7 +82,7 @@ def test_scans_hold_the_poles_with_lasting_ids(output: str) -> None:
 def test_frames_without_a_camera_and_drives_without_eyes_are_refused() -> None:
     image = np.zeros((4, 4), dtype=np.uint8)
     with pytest.raises(InputError, match="the drive has no camera"):
-        PolePerception(None, PolemapConfig()).push_frame(StereoFrame(0.0, 0.0, 0, image, image))
+        PolePerception(None, PolemapConfig()).scan_frame(StereoFrame(0.0, 0.0, 0, image, image))
     blind = Drive("blind", Path(), EarthFrame("local", name="x"), 2.7)
     with pytest.raises(InputError, match="neither images nor poles"):
         scan_drive(blind, PolemapConfig())
@@ -92,7 +92,7 @@ def test_poles_from_elsewhere_get_ids() -> None:
     perception = PolePerception(None, PolemapConfig())
     n = 2
     for step in range(4):
-        perception.push_odometry(OdometrySample(0.1 * step, 0.1 * step, 5.0, 0.0))
+        perception.record_odometry(OdometrySample(0.1 * step, 0.1 * step, 5.0, 0.0))
         scan = PoleScan(
             0.1 * step,
             0.1 * step,
@@ -102,7 +102,7 @@ def test_poles_from_elsewhere_get_ids() -> None:
             np.full(n, -1),
             np.ones(n),
         )
-        tracked = perception.push_scan(scan)
+        tracked = perception.track_scan(scan)
     assert sorted(tracked.ids.tolist()) == [0, 1]
     assert np.allclose(
         np.sort(tracked.points_vehicle_m, axis=0), np.sort(scan.points_vehicle_m, axis=0)
@@ -144,7 +144,7 @@ def test_real_street_against_its_lidar_map(recording: Callable[[str], Path]) -> 
     part = drive.between(stamps[22], stamps[38])
     perception = PolePerception(drive.rig, PolemapConfig())
     records = []
-    for look in looks(part, perception):
+    for look in perceive_drive(part, perception):
         pose = drive.reference.at(np.array([look.frame.stamp_s]))[0]
         records.append(record(look, pose, known, drive.rig, DetectionConfig()))
     (frames,) = score_frames(records, known, [(5.0, 20.0)])

@@ -1,4 +1,4 @@
-"""Landmarks and looks cut into square tiles of the map's grid, with margins."""
+"""Landmarks and scans cut into square tiles of the map's grid, with margins."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.existence import reach_of
-from polemap.build.observe import DriveObservations
-from polemap.build.passes import PassLandmarks
-from polemap.build.sightings import Sightings, take_looks
+from polemap.build.drive_observations import DriveObservations
+from polemap.build.existence import sensing_range_m
+from polemap.build.georeference import MapDetections, take_scans
+from polemap.build.traversals import TraversalLandmarks
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -48,9 +48,11 @@ class Buckets:
 class LandmarkCut:
     """The landmarks of all drives, to be had a tile at a time."""
 
-    def __init__(self, landmarks: PassLandmarks, apart: Whole, tile_m: float | None) -> None:
+    def __init__(
+        self, landmarks: TraversalLandmarks, cannot_link: Whole, tile_m: float | None
+    ) -> None:
         self.landmarks, self._tile_m = landmarks, tile_m
-        self._apart = apart[np.lexsort((apart[:, 1], apart[:, 0]))]
+        self._cannot_link = cannot_link[np.lexsort((cannot_link[:, 1], cannot_link[:, 0]))]
         self._buckets = Buckets(landmarks.points_m, tile_m) if tile_m is not None else None
         self.keys: list[Key] = [*self._buckets.keys] if self._buckets is not None else [None]
 
@@ -82,49 +84,49 @@ class LandmarkCut:
         points = self.landmarks.points_m[rows]
         return np.asarray(((points > bounds[0]) & (points < bounds[1])).all(axis=1))
 
-    def apart(self, rows: Whole) -> Whole:
-        """Pairs that must stay apart of which both are among the (sorted) rows, as places in it."""
-        start = np.searchsorted(self._apart[:, 0], rows, side="left")
-        end = np.searchsorted(self._apart[:, 0], rows, side="right")
+    def cannot_link(self, rows: Whole) -> Whole:
+        """Cannot-link pairs of which both are among the (sorted) rows, as places in it."""
+        start = np.searchsorted(self._cannot_link[:, 0], rows, side="left")
+        end = np.searchsorted(self._cannot_link[:, 0], rows, side="right")
         count = end - start
         pair = (
             np.repeat(start, count)
             + np.arange(count.sum())
             - np.repeat(np.cumsum(count) - count, count)
         )
-        pairs = np.stack([places(rows, self._apart[pair, side]) for side in (0, 1)], axis=1)
+        pairs = np.stack([places(rows, self._cannot_link[pair, side]) for side in (0, 1)], axis=1)
         return np.asarray(pairs[(pairs >= 0).all(axis=1)])
 
 
-class LookCut:
-    """The looks of one drive, to be had a tile at a time; its landmarks begin at row `start`."""
+class ScanCut:
+    """The scans of one drive, to be had a tile at a time; its landmarks begin at row `start`."""
 
     def __init__(self, part: DriveObservations, start: int, tile_m: float | None) -> None:
         self._part, self._start = part, start
-        self._reach_m = reach_of(part.sightings.looks)
-        poses = part.sightings.looks.poses[:, :2]
+        self._reach_m = sensing_range_m(part.detections.views)
+        poses = part.detections.views.poses[:, :2]
         self._buckets = Buckets(poses, tile_m) if tile_m is not None else None
         self._order = np.argsort(part.rows, kind="stable")
         self._sorted_rows = part.rows[self._order]
 
-    def view(self, bounds: Bounds | None, rows: Whole) -> tuple[Sightings, Whole, float]:
-        """Looks that see into the bounds or saw one of the landmarks `rows` (global, sorted).
+    def view(self, bounds: Bounds | None, rows: Whole) -> tuple[MapDetections, Whole, float]:
+        """Scans that see into the bounds or saw one of the landmarks `rows` (global, sorted).
 
         Returns:
-            Their sightings, the place in `rows` of each one's landmark (-1: not among them), and
+            Their detections, the place in `rows` of each one's landmark (-1: not among them), and
             how far the drive sees.
         """
         part = self._part
         if bounds is None or self._buckets is None:
-            return part.sightings, places(rows, part.rows + self._start), self._reach_m
-        chosen = np.zeros(len(part.sightings.looks), dtype=bool)
+            return part.detections, places(rows, part.rows + self._start), self._reach_m
+        chosen = np.zeros(len(part.detections.views), dtype=bool)
         low, high = bounds
         chosen[self._buckets.within(low - self._reach_m, high + self._reach_m)] = True
         start = np.searchsorted(self._sorted_rows, rows - self._start, side="left")
         end = np.searchsorted(self._sorted_rows, rows - self._start, side="right")
         for first, last in zip(start[end > start], end[end > start], strict=True):
-            chosen[part.sightings.look[self._order[first:last]]] = True
-        kept, taken = take_looks(part.sightings, chosen)
+            chosen[part.detections.scan[self._order[first:last]]] = True
+        kept, taken = take_scans(part.detections, chosen)
         return kept, places(rows, part.rows[taken] + self._start), self._reach_m
 
 

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from polemap.build.observe import DriveObservations
-from polemap.build.passes import PassLandmarks
-from polemap.build.sightings import Looks, Sightings
+from polemap.build.drive_observations import DriveObservations
+from polemap.build.georeference import MapDetections, ScanViews
+from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.frames import EarthFrame
 
 _VERSION = 3
-_SCALARS = ("drive", "frame", "looks", "without_pose")
+_SCALARS = ("drive", "frame", "views", "without_pose")
 
 
 def write_checkpoint(part: DriveObservations, key: str, path: Path) -> None:
@@ -25,17 +25,17 @@ def write_checkpoint(part: DriveObservations, key: str, path: Path) -> None:
     head = {
         "version": _VERSION,
         "key": key,
-        "drive": part.sightings.drive,
-        "frame": part.sightings.frame.to_dict(),
-        "without_pose": part.sightings.without_pose,
+        "drive": part.detections.drive,
+        "frame": part.detections.frame.to_dict(),
+        "without_pose": part.detections.without_pose,
     }
-    arrays: dict[str, Any] = {"rows": part.rows, "apart": part.apart}
-    for field in fields(Looks):
-        arrays[f"looks.{field.name}"] = getattr(part.sightings.looks, field.name)
-    for field in fields(Sightings):
+    arrays: dict[str, Any] = {"rows": part.rows, "cannot_link": part.cannot_link}
+    for field in fields(ScanViews):
+        arrays[f"views.{field.name}"] = getattr(part.detections.views, field.name)
+    for field in fields(MapDetections):
         if field.name not in _SCALARS:
-            arrays[f"sightings.{field.name}"] = getattr(part.sightings, field.name)
-    for field in fields(PassLandmarks):
+            arrays[f"detections.{field.name}"] = getattr(part.detections, field.name)
+    for field in fields(TraversalLandmarks):
         arrays[f"landmarks.{field.name}"] = getattr(part.landmarks, field.name)
     with atomic_file(path) as target, target.open("wb") as stream:
         np.savez_compressed(stream, head=np.array(json.dumps(head)), **arrays)
@@ -50,23 +50,23 @@ def read_checkpoint(path: Path, key: str) -> DriveObservations | None:
             head = json.loads(str(file["head"]))
             if head["version"] != _VERSION or head["key"] != key:
                 return None
-            looks = Looks(**{f.name: file[f"looks.{f.name}"] for f in fields(Looks)})
+            views = ScanViews(**{f.name: file[f"views.{f.name}"] for f in fields(ScanViews)})
             columns = {
-                f.name: file[f"sightings.{f.name}"]
-                for f in fields(Sightings)
+                f.name: file[f"detections.{f.name}"]
+                for f in fields(MapDetections)
                 if f.name not in _SCALARS
             }
-            sightings = Sightings(
+            detections = MapDetections(
                 drive=head["drive"],
                 frame=EarthFrame.from_dict(head["frame"]),
-                looks=looks,
+                views=views,
                 without_pose=int(head["without_pose"]),
                 **columns,
             )
-            landmarks = PassLandmarks(
-                **{f.name: file[f"landmarks.{f.name}"] for f in fields(PassLandmarks)}
+            landmarks = TraversalLandmarks(
+                **{f.name: file[f"landmarks.{f.name}"] for f in fields(TraversalLandmarks)}
             )
-            return DriveObservations(sightings, landmarks, file["rows"], file["apart"])
+            return DriveObservations(detections, landmarks, file["rows"], file["cannot_link"])
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         # a checkpoint that cannot be read costs no more than computing it again
         return None

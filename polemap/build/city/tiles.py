@@ -1,7 +1,7 @@
 """Merging spread over square tiles of the map's grid, with the same rows whatever the tiles.
 
 Which landmarks become one pole is decided within a *group*: landmarks that are linked by steps of
-at most `merge_max_m`. No step of the merging looks beyond its group, so a tile that holds a whole
+at most `merge_max_m`. No step of the merging reaches beyond its group, so a tile that holds a whole
 group merges it exactly as a single process would: rows keep their order, so that even the sums
 round alike. A tile gets the landmarks of its square and of a margin around it, and owns the groups
 whose southernmost member (then the westernmost, then the first row) lies in its square: each group
@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from polemap.build.city.cutting import Key, LandmarkCut, LookCut, places
+from polemap.build.city.cutting import Key, LandmarkCut, ScanCut, places
 from polemap.build.config import MappingConfig
-from polemap.build.existence import RANGE_BINS, Visibility, count_looks, look_weight
+from polemap.build.drive_observations import DriveObservations, take_landmarks
+from polemap.build.existence import RANGE_BINS, Visibility, count_scans, scan_weight
+from polemap.build.georeference import MapDetections
 from polemap.build.merge import (
     Merged,
     ReferenceError,
@@ -30,18 +32,18 @@ from polemap.build.merge import (
     cluster,
     fuse,
     measure_reference,
-    meetings,
     number_from_south,
+    revisit_pairs,
 )
-from polemap.build.observe import DriveObservations, take_landmarks
-from polemap.build.passes import PassLandmarks
-from polemap.build.sightings import Sightings
+from polemap.build.traversals import TraversalLandmarks
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 
-_MARGIN = 8.0  # of a tile at first, in greatest steps of a group; a meeting looks four steps far
+_MARGIN = (
+    8.0  # of a tile at first, in greatest steps of a group; a revisit pair reaches four steps far
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,21 +51,21 @@ class TileTask:
     """What a worker needs to merge one tile.
 
     Attributes:
-        landmarks, apart: of the square and its margin, rows in their global order.
+        landmarks, cannot_link: of the square and its margin, rows in their global order.
         mine: `(k,)` landmarks in the square itself.
         inner: `(k,)` landmarks that are too far from the margin's edge to be linked beyond it.
         error: as measured over all tiles.
-        views: for each drive its looks near the tile, for each sighting there its landmark (-1:
+        views: for each drive its scans near the tile, for each detection there its landmark (-1:
             none of these), and how far the drive sees at most.
     """
 
-    landmarks: PassLandmarks
-    apart: Whole
+    landmarks: TraversalLandmarks
+    cannot_link: Whole
     mine: NDArray[np.bool_]
     inner: NDArray[np.bool_]
     config: MappingConfig
     error: ReferenceError | None = None
-    views: tuple[tuple[Sightings, Whole, float], ...] = ()
+    views: tuple[tuple[MapDetections, Whole, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +76,14 @@ class TileResult:
         closed: whether all of them lie wholly inside; if not, the rest means nothing.
         owner: `(k,)` pole of each landmark of the task, -1 where another tile owns it.
         points_m, covariance_m2: `(n, 2)`, `(n, 2, 2)`.
-        seen, expected: counts `(n, bins)` of each drive.
+        detected, expected: counts `(n, bins)` of each drive.
     """
 
     closed: bool
     owner: Whole
     points_m: Floats
     covariance_m2: Floats
-    seen: tuple[Whole, ...]
+    detected: tuple[Whole, ...]
     expected: tuple[Whole, ...]
 
 
@@ -91,8 +93,8 @@ def here(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
 
 
 def merge_tiles(
-    landmarks: PassLandmarks,
-    apart: Whole,
+    landmarks: TraversalLandmarks,
+    cannot_link: Whole,
     ordered: Sequence[DriveObservations],
     config: MappingConfig,
     drive_floor_m: float = 0.0,
@@ -104,8 +106,8 @@ def merge_tiles(
 
     Args:
         landmarks: of all drives: those of `ordered` one after the other, then of an old map.
-        apart: pairs `(k, 2)` of rows, smaller first, that were seen side by side.
-        ordered: the new drives, whose looks are counted.
+        cannot_link: pairs `(k, 2)` of rows, smaller first, that were seen side by side.
+        ordered: the new drives, whose scans are counted.
         config: settings.
         drive_floor_m: what drives are known to disagree by at least, an axis.
         run: applies a function of this module to tasks, in the order of the tasks.
@@ -114,23 +116,23 @@ def merge_tiles(
     Returns:
         Poles from south to north, and for each drive the counts at them.
     """
-    cut = LandmarkCut(landmarks, apart, tile_m)
+    cut = LandmarkCut(landmarks, cannot_link, tile_m)
     margin = _MARGIN * config.merge_max_m
     tasks = [_task(cut, key, margin, config) for key in cut.keys]
-    found = run(meet_tile, [task for task, _ in tasks])
+    found = run(pair_tile, [task for task, _ in tasks])
     pairs = [rows[pair] for pair, (_, rows) in zip(found, tasks, strict=True)]
     met = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
     error = measure_reference(landmarks, config, met[np.lexsort((met[:, 1], met[:, 0]))])
     error = replace(error, drive_sd_m=max(error.drive_sd_m, drive_floor_m))
     starts = np.cumsum([0, *(len(part.landmarks) for part in ordered)]).tolist()
-    looks = [LookCut(part, start, tile_m) for part, start in zip(ordered, starts, strict=False)]
-    parts = _merge_all(cut, looks, config, error, margin, run)
+    scans = [ScanCut(part, start, tile_m) for part, start in zip(ordered, starts, strict=False)]
+    parts = _merge_all(cut, scans, config, error, margin, run)
     merged, place = _gather(parts, landmarks, error)
     counts = [
         Visibility(
-            _counts([result.seen[row] for _, result in parts])[place],
+            _counts([result.detected[row] for _, result in parts])[place],
             _counts([result.expected[row] for _, result in parts])[place],
-            look_weight(part.sightings.looks.stamp_s, config),
+            scan_weight(part.detections.views.stamp_s, config),
         )
         for row, part in enumerate(ordered)
     ]
@@ -140,11 +142,11 @@ def merge_tiles(
 def _task(
     cut: LandmarkCut, key: Key, margin_m: float, config: MappingConfig
 ) -> tuple[TileTask, Whole]:
-    """A tile's task without its views, and the global rows of its landmarks."""
+    """A tile's task without its scans, and the global rows of its landmarks."""
     rows = cut.rows(key, margin_m)
     task = TileTask(
         take_landmarks(cut.landmarks, rows),
-        cut.apart(rows),
+        cut.cannot_link(rows),
         cut.core(key, rows),
         cut.inside(key, rows, margin_m - 1.001 * config.merge_max_m),
         config,
@@ -154,7 +156,7 @@ def _task(
 
 def _merge_all(
     cut: LandmarkCut,
-    looks: Sequence[LookCut],
+    scans: Sequence[ScanCut],
     config: MappingConfig,
     error: ReferenceError,
     margin_m: float,
@@ -168,7 +170,7 @@ def _merge_all(
         for key in open_keys:
             task, mine = _task(cut, key, margin_m, config)
             bounds = cut.bounds(key, margin_m)
-            views = tuple(look.view(bounds, mine) for look in looks)
+            views = tuple(cut_scans.view(bounds, mine) for cut_scans in scans)
             tasks.append(replace(task, error=error, views=views))
             rows.append(mine)
         results = run(merge_tile, tasks)
@@ -178,9 +180,9 @@ def _merge_all(
     return done
 
 
-def meet_tile(task: TileTask) -> Whole:
+def pair_tile(task: TileTask) -> Whole:
     """Pairs `(k, 2)` of landmarks of a tile by which the reference's error is measured."""
-    pairs = meetings(task.landmarks, task.config, task.apart)
+    pairs = revisit_pairs(task.landmarks, task.config, task.cannot_link)
     first = _southern(task.landmarks.points_m, pairs)
     return pairs[task.mine[first]]
 
@@ -204,12 +206,12 @@ def merge_tile(task: TileTask) -> TileResult:
         nothing = tuple(np.empty((0, RANGE_BINS), dtype=np.int64) for _ in task.views)
         return TileResult(closed, owner, np.empty((0, 2)), np.empty((0, 2, 2)), nothing, nothing)
     mine = take_landmarks(task.landmarks, rows)
-    apart = places(rows, task.apart.reshape(-1)).reshape(-1, 2)
-    clusters = cluster(mine, task.config, apart[(apart >= 0).all(axis=1)], error)
+    cannot_link = places(rows, task.cannot_link.reshape(-1)).reshape(-1, 2)
+    clusters = cluster(mine, task.config, cannot_link[(cannot_link >= 0).all(axis=1)], error)
     points, covariance = fuse(mine, clusters, task.config, error)
     owner[rows] = clusters
     counts = [
-        count_looks(seen, np.where(to >= 0, owner[to], -1), points, reach_m)
+        count_scans(seen, np.where(to >= 0, owner[to], -1), points, reach_m)
         for seen, to, reach_m in task.views
     ]
     return TileResult(
@@ -238,7 +240,7 @@ def _owned(task: TileTask) -> tuple[NDArray[np.bool_], bool]:
 
 
 def _gather(
-    parts: Sequence[tuple[Whole, TileResult]], landmarks: PassLandmarks, error: ReferenceError
+    parts: Sequence[tuple[Whole, TileResult]], landmarks: TraversalLandmarks, error: ReferenceError
 ) -> tuple[Merged, Whole]:
     """Poles of all tiles numbered from south to north, and where each stands in `parts`."""
     owner = np.full(len(landmarks), -1, dtype=np.int64)

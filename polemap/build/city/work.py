@@ -21,7 +21,7 @@ from typing import Any
 from polemap import __version__
 from polemap.build.city.io import read_checkpoint, write_checkpoint
 from polemap.build.city.tiles import Run
-from polemap.build.observe import DriveObservations
+from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.errors import ConfigError, PolemapError
 from polemap.drivelog.frames import EarthFrame
 
@@ -30,7 +30,7 @@ _RETRIES = 2
 
 @dataclass(frozen=True, slots=True)
 class DriveTask:
-    """One drive to look at; small, so that it travels to a worker.
+    """One drive to detect poles in; small, so that it travels to a worker.
 
     Attributes:
         path: of the drive, as the worker sees it.
@@ -138,7 +138,7 @@ def on_workers(client: Any, done: Callable[[int], None] | None = None) -> Run:
 
     def run(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
         with warnings.catch_warnings():
-            # a tile's landmarks and looks are what the task is about, however large
+            # a tile's landmarks and scans are what the task is about, however large
             warnings.filterwarnings("ignore", message="Sending large graph")
             futures = [client.submit(function, t, pure=False, retries=_RETRIES) for t in tasks]
         for _ in _distributed().as_completed(futures):

@@ -14,7 +14,7 @@ import numpy as np
 
 from polemap.build.city.work import DriveTask, observe_all
 from polemap.build.config import MappingConfig
-from polemap.build.observe import DriveObservations, observe_drive
+from polemap.build.drive_observations import DriveObservations, observe_drive
 from polemap.drivelog.errors import InputError
 from tests.polemap.town import FRAME, drive_through, make_town, route
 

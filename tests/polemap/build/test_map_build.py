@@ -14,8 +14,8 @@ from scipy.stats import chi2
 from polemap.build.assemble import BuiltMap, assemble_map
 from polemap.build.build_map import build_map, unique_names
 from polemap.build.config import MappingConfig
+from polemap.build.drive_observations import DriveObservations, observe_drive
 from polemap.build.map_diff import compare_maps, match_points
-from polemap.build.observe import DriveObservations, observe_drive
 from polemap.config import PolemapConfig
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
@@ -55,7 +55,7 @@ def score(pole_map: PoleMap, town: Town) -> Score:
     )
 
 
-def look(
+def scan(
     town: Town, rng: np.random.Generator, day: int, shift: tuple[float, float] = (0.0, 0.0)
 ) -> DriveThrough:
     return drive_through(
@@ -75,7 +75,7 @@ def town() -> Town:
 @pytest.fixture(scope="module")
 def days(town: Town) -> list[DriveObservations]:
     rng = np.random.default_rng(6)
-    return [observed(look(town, rng, day), f"day {day}") for day in (1, 2, 3)]
+    return [observed(scan(town, rng, day), f"day {day}") for day in (1, 2, 3)]
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_vans_of_one_day_do_not_survive_the_others(
 def shifted(town: Town) -> list[DriveObservations]:
     rng = np.random.default_rng(7)
     shifts = ((0.0, 0.0), (0.4, -0.3), (-0.3, -0.4))
-    return [observed(look(town, rng, i, s), f"day {i}") for i, s in enumerate(shifts)]
+    return [observed(scan(town, rng, i, s), f"day {i}") for i, s in enumerate(shifts)]
 
 
 def test_drives_that_disagree_are_aligned(shifted: list[DriveObservations], town: Town) -> None:
@@ -168,7 +168,7 @@ def test_works_in_the_streets_are_noticed(town: Town, days: list[DriveObservatio
     rows = rng.permutation(alone)
     # a pole that moves out of sight cannot be noticed anew
     north = replace(town, points_m=town.points_m + np.array([0.0, 2.0]))
-    in_sight = passed(north, route(BLOCKS), looks=25)
+    in_sight = passed(north, route(BLOCKS), views=25)
     moved = rows[in_sight[rows]][:5]
     removed = np.setdiff1d(rows, moved)[:10]
     added = free_places(town, rng, 10)
@@ -176,7 +176,7 @@ def test_works_in_the_streets_are_noticed(town: Town, days: list[DriveObservatio
     before = assemble_map(days[:2], CONFIG, FRAME).pole_map
     after = before
     for day in (4, 5):
-        part = observed(look(now, rng, day), f"day {day}")
+        part = observed(scan(now, rng, day), f"day {day}")
         after = assemble_map([part], CONFIG, FRAME, update=after).pole_map
     diff = compare_maps(before, after)
     gone = match_points(before.points_m[diff.removed], town.points_m[removed], 0.5)
@@ -241,14 +241,14 @@ def test_a_drive_from_the_neighbouring_zone_fits(town: Town, built: BuiltMap) ->
     from polemap.drivelog.frames import convergence_rad, transform_points
 
     east = EarthFrame("utm", 32633)
-    drive = look(town, np.random.default_rng(10), 1)
+    drive = scan(town, np.random.default_rng(10), 1)
     poses = drive.reference.poses
     there = transform_points(poses[:, :2], FRAME, east)
     turn = convergence_rad(east, there) - convergence_rad(FRAME, poses[:, :2])
     reference = replace(drive.reference, poses=np.column_stack([there, poses[:, 2] + turn]))
     part = observe_drive("east", east, drive.scans, reference, CONFIG, FRAME)
     plain = observed(drive, "west")
-    np.testing.assert_allclose(part.sightings.points_m, plain.sightings.points_m, atol=1e-4)
+    np.testing.assert_allclose(part.detections.points_m, plain.detections.points_m, atol=1e-4)
 
 
 def test_drives_without_what_a_map_needs(town: Town) -> None:
@@ -257,7 +257,7 @@ def test_drives_without_what_a_map_needs(town: Town) -> None:
         build_map([], PolemapConfig(), lambda drive: drive.scans)
     with pytest.raises(InputError, match="drive nothing: it has no reference poses"):
         build_map([empty], PolemapConfig(), lambda drive: drive.scans)
-    drive = look(town, np.random.default_rng(0), 1)
+    drive = scan(town, np.random.default_rng(0), 1)
     late = replace(drive.reference, stamp_s=drive.reference.stamp_s + 1e6)
     with pytest.raises(InputError, match=r"none of its \d+ scans has a reference pose"):
         observe_drive("late", FRAME, drive.scans[:50], late, CONFIG, FRAME)
@@ -265,7 +265,7 @@ def test_drives_without_what_a_map_needs(town: Town) -> None:
 
 
 def test_scans_that_saw_nothing_make_no_map(town: Town) -> None:
-    drive = look(
+    drive = scan(
         replace(town, visibility=np.zeros(len(town.points_m))), np.random.default_rng(0), 1
     )
     silent = [s for s in drive.scans if not len(s)]

@@ -19,10 +19,10 @@ from polemap.build.assemble import assemble_map
 from polemap.build.city.io import clear, read_checkpoint, write_checkpoint
 from polemap.build.city.work import observe_all, on_workers, open_client
 from polemap.build.config import MappingConfig
-from polemap.build.observe import DriveObservations
+from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.map.landmark_map import PoleMap
-from tests.polemap import city_tasks
+from tests.polemap.build import city_tasks
 from tests.polemap.town import FRAME
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -117,7 +117,7 @@ def test_tiles_are_merged_on_a_cluster_that_loses_workers(tmp_path: Path, single
         tiled = assemble_map(parts[::-1], config, FRAME, run=run, tile_m=40.0).pole_map
     assert len(merged) > 10
     assert {path.name for path in tmp_path.glob("*.begun")} == {
-        "meet_tile.begun",
+        "pair_tile.begun",
         "merge_tile.begun",
     }
     assert_same_rows(single, tiled)

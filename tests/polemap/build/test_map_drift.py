@@ -1,4 +1,4 @@
-"""A reference that drifts within a drive: passes of one street are levelled, poles not doubled."""
+"""A reference that drifts within a drive: traversals are levelled, poles not doubled."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polemap.build.align import register
 from polemap.build.assemble import assemble_map
 from polemap.build.config import MappingConfig
 from polemap.build.drift import KNOT_S, _prior, measure_drift
-from polemap.build.observe import DriveObservations
-from polemap.build.passes import PassLandmarks
+from polemap.build.drive_observations import DriveObservations
+from polemap.build.registration import register
+from polemap.build.traversals import TraversalLandmarks
 from polemap.map.landmark_map import PoleMap
 from tests.polemap.build.test_map_build import BLOCKS, observed, score
 from tests.polemap.town import FRAME, Town, drive_through, make_town, route
@@ -49,11 +49,11 @@ def placed(pole_map: PoleMap, town: Town) -> PoleMap:
 def test_passes_of_one_drive_do_not_double_poles(days: list[DriveObservations], town: Town) -> None:
     doubled = assemble_map(days[:1], AS_THEY_ARE, FRAME).pole_map
     built = assemble_map(days[:1], CONFIG, FRAME)
-    plain, levelled = (score(placed(m, town), town) for m in (doubled, built.pole_map))
+    plain, without_drift = (score(placed(m, town), town) for m in (doubled, built.pole_map))
     assert plain.duplicates > 0.05
-    assert levelled.duplicates <= 0.01
-    assert levelled.rmse_m < plain.rmse_m
-    assert levelled.missed <= 0.05
+    assert without_drift.duplicates <= 0.01
+    assert without_drift.rmse_m < plain.rmse_m
+    assert without_drift.missed <= 0.05
     # one error that all poles share is one draw: three sigma of it
     assert score(built.pole_map, town).nees < 9.0 / 2.0
     assert any("its reference drifts" in report for report in built.reports)
@@ -68,12 +68,12 @@ def test_drives_that_drift_apart_are_aligned(days: list[DriveObservations], town
     assert score(pole_map, town).nees < 9.0 / 2.0
 
 
-def moved(part: PassLandmarks, by: np.ndarray) -> PassLandmarks:
+def moved(part: TraversalLandmarks, by: np.ndarray) -> TraversalLandmarks:
     return replace(part, points_m=part.points_m + by)
 
 
 def test_a_known_drift_is_found(town: Town) -> None:
-    """Two passes of one street by one drive, 1000 s apart, the second one off by a known amount."""
+    """Two traversals of a street by one drive, 1000 s apart, the second off by a known amount."""
     rng = np.random.default_rng(13)
     part = observed(
         drive_through(town, rng, start_s=0.0, poses=route(BLOCKS), vans=0), "day"
@@ -82,10 +82,10 @@ def test_a_known_drift_is_found(town: Town) -> None:
     again = replace(
         moved(part, np.array([0.9, -0.5])), first_s=part.first_s + 1e3, last_s=part.last_s + 1e3
     )
-    both = PassLandmarks(
+    both = TraversalLandmarks(
         **{
             name: np.concatenate([getattr(part, name), getattr(again, name)])
-            for name in PassLandmarks.__dataclass_fields__
+            for name in TraversalLandmarks.__dataclass_fields__
         }
     )
     drifts = measure_drift([both], CONFIG)

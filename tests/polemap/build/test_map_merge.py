@@ -1,4 +1,4 @@
-"""Fusion of passes: a covariance that holds when passes share errors."""
+"""Fusion of traversals: a covariance that holds when traversals share errors."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from polemap.build.config import MappingConfig
 from polemap.build.merge import ReferenceError, fuse
-from polemap.build.passes import PassLandmarks
+from polemap.build.traversals import TraversalLandmarks
 
 Floats = NDArray[np.float64]
 
 SD_M = 0.05
 CONFIG = MappingConfig(reference_yaw_sd_rad=0.0, systematic_sd_m=0.001)
-ALONE = ReferenceError(pass_sd_m=0.0, drive_sd_m=0.0, pass_pairs=0, drive_pairs=0)
+ALONE = ReferenceError(traversal_sd_m=0.0, drive_sd_m=0.0, traversal_pairs=0, drive_pairs=0)
 
 
-def passes(points: Floats, gain: Floats, drives: int) -> PassLandmarks:
+def traversals(points: Floats, gain: Floats, drives: int) -> TraversalLandmarks:
     n = len(points)
     ones = np.ones(n)
-    return PassLandmarks(
+    return TraversalLandmarks(
         drive=np.array([f"d{i % drives}" for i in range(n)]),
         start_s=np.arange(n) % drives * 1.0,
         points_m=points,
@@ -47,8 +47,8 @@ def passes(points: Floats, gain: Floats, drives: int) -> PassLandmarks:
 
 def stereo(
     rng: np.random.Generator, poles: int, each: int, spread_rad: float
-) -> tuple[PassLandmarks, NDArray[np.int64]]:
-    """Passes at poles in the origin: range error by one bias of all passes and one of each."""
+) -> tuple[TraversalLandmarks, NDArray[np.int64]]:
+    """Traversals at poles in the origin: range error by a common bias and one of each."""
     owner = np.repeat(np.arange(poles), each)
     angle = np.repeat(rng.uniform(0, 2 * np.pi, poles), each)
     angle = angle + rng.uniform(-spread_rad, spread_rad, poles * each)
@@ -57,7 +57,7 @@ def stereo(
     common = np.repeat(CONFIG.disparity_common_sd_px * rng.standard_normal(poles), each)
     own = CONFIG.disparity_pass_sd_px * rng.standard_normal(poles * each)
     noise = SD_M * rng.standard_normal((poles * each, 2))
-    return passes((common + own)[:, None] * gain + noise, gain, each), owner
+    return traversals((common + own)[:, None] * gain + noise, gain, each), owner
 
 
 def nees(points: Floats, covariance: Floats) -> float:
@@ -71,7 +71,7 @@ def test_a_disparity_error_that_passes_share_is_owned_up_to(each: int, spread_ra
     poles = 4000
     landmarks, owner = stereo(np.random.default_rng(each), poles, each, spread_rad)
     honest = nees(*fuse(landmarks, owner, CONFIG, ALONE))
-    # chi-square of 2 n degrees of freedom: sd 1 / sqrt(n); passes three by three are averaged
+    # chi-square of 2 n degrees of freedom: sd 1 / sqrt(n); traversals three by three are averaged
     # robustly, which costs a little where nothing is an outlier
     assert honest == pytest.approx(1.0, abs=5.0 / np.sqrt(poles) + (0.06 if each > 2 else 0.0))
     plain = replace(landmarks, gain_m_per_px=np.zeros_like(landmarks.gain_m_per_px))
@@ -81,7 +81,7 @@ def test_a_disparity_error_that_passes_share_is_owned_up_to(each: int, spread_ra
 def test_passes_from_opposite_sides_cancel_what_they_share() -> None:
     gain = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
     owner = np.array([0, 0, 1, 1])
-    landmarks = passes(np.zeros((4, 2)), gain, 1)
+    landmarks = traversals(np.zeros((4, 2)), gain, 1)
     _, covariance = fuse(landmarks, owner, CONFIG, ALONE)
     mine = (SD_M**2 + CONFIG.disparity_pass_sd_px**2) / 2.0 + CONFIG.systematic_sd_m**2 * 1.5
     shared = CONFIG.disparity_common_sd_px**2
@@ -92,7 +92,7 @@ def test_passes_from_opposite_sides_cancel_what_they_share() -> None:
 
 
 def test_what_levelling_leaves_does_not_average_away() -> None:
-    landmarks = passes(np.zeros((6, 2)), np.zeros((6, 2)), 2)
+    landmarks = traversals(np.zeros((6, 2)), np.zeros((6, 2)), 2)
     owner = np.zeros(6, dtype=np.int64)
     _, plain = fuse(landmarks, owner, CONFIG, ALONE)
     aligned = replace(landmarks, aligned_sd_m=np.full(6, 0.3))

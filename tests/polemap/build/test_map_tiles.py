@@ -12,10 +12,10 @@ from polemap.build.assemble import assemble_map
 from polemap.build.city.cutting import Buckets, LandmarkCut, places
 from polemap.build.city.tiles import TileTask, here, merge_tile, merge_tiles
 from polemap.build.config import MappingConfig
+from polemap.build.drive_observations import DriveObservations, observe_drive
 from polemap.build.history import open_history
 from polemap.build.map_diff import match_points
-from polemap.build.observe import DriveObservations, observe_drive
-from polemap.build.passes import PassLandmarks
+from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.errors import InputError
 from polemap.map.landmark_map import PoleMap
 from tests.polemap.town import FRAME, drive_through, make_town, route
@@ -88,7 +88,7 @@ def test_an_update_by_tiles(days: list[DriveObservations]) -> None:
 
 
 def test_histories_of_older_maps_are_read(days: list[DriveObservations]) -> None:
-    """Passes with the sixteen values that they had before drift and disparity were modelled."""
+    """Traversals with the sixteen values that they had before drift and disparity were modelled."""
     first = assemble_map(days[:1], CONFIG, FRAME).pole_map
 
     def older(text: str) -> str:
@@ -106,13 +106,13 @@ def test_histories_of_older_maps_are_read(days: list[DriveObservations]) -> None
         open_history(replace(first, extra={**first.extra, "history": broken}))
 
 
-def fence(n: int, step_m: float) -> PassLandmarks:
-    """Passes of two drives along a fence, each post near enough to the next to be linked to it."""
+def fence(n: int, step_m: float) -> TraversalLandmarks:
+    """Traversals of two drives along a fence, each post near enough to be linked to the next."""
     rng = np.random.default_rng(0)
     along = np.repeat(np.arange(n) * step_m, 2)
     points = np.column_stack([along, 0.3 * along]) + rng.normal(0.0, 0.02, (2 * n, 2))
     ones = np.ones(2 * n)
-    return PassLandmarks(
+    return TraversalLandmarks(
         drive=np.array(["a", "b"] * n),
         start_s=np.array([0.0, 1.0] * n),
         points_m=points[:, ::-1].copy(),
@@ -162,9 +162,9 @@ def test_cutting() -> None:
     for tile_m in (0.5, 7.0, 400.0):
         np.testing.assert_array_equal(Buckets(points, tile_m).within(low, high), inside)
     landmarks = fence(20, 1.0)
-    apart = np.array([[3, 5], [3, 30], [6, 7], [0, 1]])
-    cut = LandmarkCut(landmarks, apart, 10.0)
-    assert cut.apart(np.array([3, 5, 6, 8, 30])).tolist() == [[0, 1], [0, 4]]
+    cannot_link = np.array([[3, 5], [3, 30], [6, 7], [0, 1]])
+    cut = LandmarkCut(landmarks, cannot_link, 10.0)
+    assert cut.cannot_link(np.array([3, 5, 6, 8, 30])).tolist() == [[0, 1], [0, 4]]
     rows = np.concatenate([np.flatnonzero(cut.core(k, np.arange(40))) for k in cut.keys])
     assert sorted(rows.tolist()) == list(range(40))
     assert places(np.array([2, 5]), np.array([5, 1, 2, 9])).tolist() == [1, -1, 0, -1]

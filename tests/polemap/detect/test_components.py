@@ -16,7 +16,7 @@ from polemap.detect.components import components
 def test_labels_are_those_of_scipy(n: int, share: float, near: bool, seed: int) -> None:
     rng = np.random.default_rng(seed)
     one = rng.integers(0, n, int(share * n))
-    # long chains, as the slices of a stem are, or links between anything
+    # long chains, as the slices of a candidate are, or links between anything
     two = np.clip(one + rng.integers(-3, 4, len(one)), 0, n - 1) if near else rng.permutation(one)
     label, count = components(n, one, two)
     graph = coo_matrix((np.ones(len(one)), (one, two)), shape=(n, n))

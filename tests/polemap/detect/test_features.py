@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from polemap.detect import flanks, surroundings
-from polemap.detect.features import NAMES, Profiles, measure
+from polemap.detect.features import NAMES, Profiles, measure_features
 from polemap.detect.flanks import INSIDE
 from polemap.detect.ground import Ground, ground_from_mounting
-from polemap.detect.hypotheses import Stems
+from polemap.detect.hypotheses import Hypotheses
 from polemap.detect.surroundings import HEIGHTS_M
 from polemap.stereo.depth_edges import UprightMaps, upright_maps
 from polemap.stereo.matching import DisparityPair
@@ -20,8 +20,8 @@ from tests.polemap.street import RIG
 HEIGHT, WIDTH = 400, 640
 
 
-def _scene(seed: int) -> tuple[Stems, UprightMaps, np.ndarray]:
-    """Random stems in a random picture, some beyond its borders; disparities near theirs, holes."""
+def _scene(seed: int) -> tuple[Hypotheses, UprightMaps, np.ndarray]:
+    """Random hypotheses in a random picture, some beyond it; disparities near theirs, holes."""
     rng = np.random.default_rng(seed)
     image = rng.integers(0, 255, (HEIGHT, WIDTH)).astype(np.uint8)
     image = (image // 4 + 60 * (np.arange(WIDTH) // 40 % 2)).astype(np.uint8)
@@ -30,7 +30,7 @@ def _scene(seed: int) -> tuple[Stems, UprightMaps, np.ndarray]:
     maps = upright_maps(DisparityPair(*near.astype(np.float32)), 3)
     n = 40
     top = rng.uniform(10.0, 150.0, n)
-    values = {name: rng.uniform(0.0, 1.0, n) for name in Stems.__slots__}
+    values = {name: rng.uniform(0.0, 1.0, n) for name in Hypotheses.__slots__}
     values |= {
         "column_px": np.where(rng.random(n) < 0.8, rng.integers(0, 16, n) * 40.0, 3.0),
         "row_px": top + 40.0,
@@ -42,16 +42,18 @@ def _scene(seed: int) -> tuple[Stems, UprightMaps, np.ndarray]:
         "slices": rng.integers(3, 40, n).astype(float),
         "far_left_px": rng.uniform(0.0, 19.0, n),
     }
-    return Stems(**values), maps, image
+    return Hypotheses(**values), maps, image
 
 
-def _flank(image: np.ndarray, stems: Stems, row: int, side: float) -> tuple[float, float, bool]:
-    """Where one flank of one stem has its strongest gradient, how strong, and whether it counts."""
+def _flank(
+    image: np.ndarray, hypotheses: Hypotheses, row: int, side: float
+) -> tuple[float, float, bool]:
+    """Where a candidate's flank has its strongest gradient, how strong, and if it counts."""
     reach, count = flanks._REACH_PX, flanks._ROWS
     share = (np.arange(count) + 0.5) / count
-    rows = stems.top_px[row] + (stems.bottom_px[row] - stems.top_px[row]) * share
-    flank = stems.column_px[row] + stems.slope[row] * (rows - stems.row_px[row])
-    flank = flank + side * stems.width_px[row]
+    rows = hypotheses.top_px[row] + (hypotheses.bottom_px[row] - hypotheses.top_px[row]) * share
+    flank = hypotheses.column_px[row] + hypotheses.slope[row] * (rows - hypotheses.row_px[row])
+    flank = flank + side * hypotheses.width_px[row]
     base = np.rint(flank)
     v = np.clip(np.rint(rows).astype(int), 0, HEIGHT - 1)
     contrast = float(image[::8, ::8].std()) + 1e-6
@@ -72,15 +74,15 @@ def _flank(image: np.ndarray, stems: Stems, row: int, side: float) -> tuple[floa
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_flanks_are_sharpened_as_one_after_the_other(seed: int) -> None:
-    stems, _, image = _scene(seed)
-    left, right, _, edge_left, edge_right, _ = flanks.sharpen(stems, image)
+    hypotheses, _, image = _scene(seed)
+    left, right, _, edge_left, edge_right, _ = flanks.refine_flanks(hypotheses, image)
     trusted = 0
-    for row in range(len(stems)):
+    for row in range(len(hypotheses)):
         expected = []
         for side, edge in ((-0.5, edge_left), (0.5, edge_right)):
-            moved, peak, counts = _flank(image, stems, row, side)
+            moved, peak, counts = _flank(image, hypotheses, row, side)
             assert edge[row] == pytest.approx(min(peak, 1.5), rel=1e-9)
-            plain = stems.column_px[row] + side * stems.width_px[row]
+            plain = hypotheses.column_px[row] + side * hypotheses.width_px[row]
             expected.append((plain, plain + moved * counts))
             trusted += counts
         crossed = expected[1][1] - expected[0][1] < 0.5
@@ -96,19 +98,19 @@ def _at(disparity: np.ndarray, row: float, column: float) -> float:
 
 
 def _shares(
-    found: Profiles, stems: Stems, maps: UprightMaps, ground: Ground, row: int
+    found: Profiles, hypotheses: Hypotheses, maps: UprightMaps, ground: Ground, row: int
 ) -> dict[str, float]:
-    """The features that count heights, of one stem, height by height."""
-    d = stems.disparity_px[row]
+    """The features that count heights, of one candidate, height by height."""
+    d = hypotheses.disparity_px[row]
     per_m, depth = d / RIG.baseline_m, RIG.focal_px * RIG.baseline_m
     width = max(found.right_px[row] - found.left_px[row], 0.5)
     centre = 0.5 * (found.left_px[row] + found.right_px[row])
     tolerance, free = 0.8 + 0.3 * d * d / depth, max(0.5 * d * d / depth, 0.8)
-    foot = float(ground.row_px(stems.column_px[row], d))
+    foot = float(ground.row_px(hypotheses.column_px[row], d))
     table = []
     for height_m in HEIGHTS_M:
         v = foot - height_m * per_m
-        u = centre + stems.slope[row] * (v - stems.row_px[row])
+        u = centre + hypotheses.slope[row] * (v - hypotheses.row_px[row])
         out = width / 2 + surroundings.CLEAR_PX + surroundings.BESIDE_M * per_m
         v_map = v / maps.row_step_px
         inside = np.array([_at(maps.left, v_map, u + part * width) for part in INSIDE])
@@ -132,9 +134,9 @@ def _shares(
     pairs |= {"hidden_share": (hidden, visible)}
     shares = {name: np.sum(one & of) / max(np.sum(of), 1) for name, (one, of) in pairs.items()}
     above = []
-    rows = [stems.top_px[row] - up_m * per_m for up_m in surroundings.ABOVE_M]
+    rows = [hypotheses.top_px[row] - up_m * per_m for up_m in surroundings.ABOVE_M]
     for v in rows:
-        u = centre + stems.slope[row] * (v - stems.row_px[row])
+        u = centre + hypotheses.slope[row] * (v - hypotheses.row_px[row])
         above.append(_at(maps.left, v / maps.row_step_px, u))
     seen = max(sum(v >= 0 for v in rows), 1)
     shares["above_free"] = sum(value < d - free for value in above) / seen
@@ -147,13 +149,13 @@ def _shares(
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_heights_are_counted_as_one_after_the_other(seed: int) -> None:
-    stems, maps, image = _scene(seed)
+    hypotheses, maps, image = _scene(seed)
     ground = ground_from_mounting(RIG)
-    found = measure(stems, maps, image, ground, RIG)
-    assert found.features.shape == (len(stems), len(NAMES))
+    found = measure_features(hypotheses, maps, image, ground, RIG)
+    assert found.features.shape == (len(hypotheses), len(NAMES))
     seen: dict[str, list[float]] = defaultdict(list)
-    for row in range(len(stems)):
-        for name, value in _shares(found, stems, maps, ground, row).items():
+    for row in range(len(hypotheses)):
+        for name, value in _shares(found, hypotheses, maps, ground, row).items():
             got = found.features[row, NAMES.index(name)]
             assert got == pytest.approx(value, rel=1e-9), name
             seen[name].append(got)
@@ -162,8 +164,8 @@ def test_heights_are_counted_as_one_after_the_other(seed: int) -> None:
 
 
 def test_no_hypotheses_have_no_features() -> None:
-    stems, maps, image = _scene(1)
-    none = stems.take(np.zeros(len(stems), dtype=bool))
-    found = measure(none, maps, image, ground_from_mounting(RIG), RIG)
+    hypotheses, maps, image = _scene(1)
+    none = hypotheses.take(np.zeros(len(hypotheses), dtype=bool))
+    found = measure_features(none, maps, image, ground_from_mounting(RIG), RIG)
     assert found.features.shape == (0, len(NAMES))
     assert len(found.left_px) == len(found.disparity_px) == 0

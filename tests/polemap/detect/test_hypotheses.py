@@ -1,4 +1,4 @@
-"""Slices and stems against the plain way: one flank, one group after the other."""
+"""Slices and hypotheses against the plain way: one flank, one group after the other."""
 
 from __future__ import annotations
 
@@ -93,9 +93,9 @@ def test_all_groups_at_once_are_fitted_as_one_after_the_other(seed: int) -> None
     width, depth = rng.integers(4, 9, n).astype(float), rng.normal(20.0, 0.5, n)
     beside = rng.uniform(0, 1, (4, n))
     slices = Slices(row, centre - 0.5 * width, centre + 0.5 * width - 1.0, depth, *beside)
-    stems = hypotheses._fit(slices, label, count)
+    fitted = hypotheses._fit(slices, label, count)
     for group in range(count):
         members = label == group
         one = _line(row[members], centre[members] - 0.5, width[members], depth[members])
         for name, value in one.items():
-            assert getattr(stems, name)[group] == pytest.approx(value, rel=1e-9, abs=1e-9), name
+            assert getattr(fitted, name)[group] == pytest.approx(value, rel=1e-9, abs=1e-9), name

@@ -1,4 +1,4 @@
-"""The disparity of a stem fitted to the images."""
+"""The disparity of a pole fitted to the images."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _plain(
     slope: float,
     start_px: float,
 ) -> tuple[float, float, bool]:
-    """One stem at a time, on images that were smoothed as a whole."""
+    """One candidate at a time, on images that were smoothed as a whole."""
     one, two = (cv2.GaussianBlur(image, (3, 3), 0.8).astype(float) for image in (left, right))
     height, width = left.shape
     share = (np.arange(refine._ROWS) + 0.5) / refine._ROWS
@@ -100,15 +100,17 @@ def test_all_stems_at_once_are_fitted_as_one_after_the_other() -> None:
     n = 60
     first = rng.uniform(-3.0, 158.0, n)  # some lie on the border, or their partners beyond it
     top = rng.uniform(-4.0, 40.0, n)
-    stems = (first, first + rng.uniform(2, 20, n), top, top + rng.uniform(10, 45, n))
+    hypotheses = (first, first + rng.uniform(2, 20, n), top, top + rng.uniform(10, 45, n))
     slope, start = rng.uniform(-0.1, 0.1, n), 12.3 + rng.uniform(-1.5, 1.5, n)
-    for count in (n, 3, 1):  # of few stems, less of the image is looked at
-        fit = refine_disparity(left, right, *(v[:count] for v in (*stems, slope, start)))
+    for count in (n, 3, 1):  # of few hypotheses, less of the image is looked at
+        fit = refine_disparity(left, right, *(v[:count] for v in (*hypotheses, slope, start)))
         for row in range(count):
-            a, b, c, d = (float(values[row]) for values in stems)
+            a, b, c, d = (float(values[row]) for values in hypotheses)
             one = _plain(left, right, (a, b), (c, d), float(slope[row]), float(start[row]))
             assert fit.trusted[row] == one[2]
             expected = one[:2] if one[2] else (start[row], np.nan)
             got = (fit.disparity_px[row], fit.sd_px[row])
             assert got == pytest.approx(expected, rel=1e-9, nan_ok=True)
-    assert 20 < np.count_nonzero(refine_disparity(left, right, *stems, slope, start).trusted) < n
+    assert (
+        20 < np.count_nonzero(refine_disparity(left, right, *hypotheses, slope, start).trusted) < n
+    )

@@ -55,7 +55,7 @@ def drive(
             seen.astype(np.int64), points, covariance, none, none, none, none,
             np.ones(count, np.int64), none, none, np.ones(count, bool), np.arange(count),
         )  # fmt: skip
-        offset.see(sighting, tracks, DT_S if frame else np.inf)
+        offset.learn(sighting, tracks, DT_S if frame else np.inf)
     return offset
 
 

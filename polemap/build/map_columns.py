@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.align import Shift
 from polemap.build.drift import Drift
+from polemap.build.drive_observations import DriveObservations
 from polemap.build.existence import Evidence
 from polemap.build.merge import Merged
-from polemap.build.observe import DriveObservations
-from polemap.build.passes import PassLandmarks
+from polemap.build.registration import Shift
+from polemap.build.traversals import TraversalLandmarks
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -34,16 +34,16 @@ def distinct(names: NDArray[np.str_], owner: Whole, n: int) -> Whole:
 
 
 def evidence_columns(
-    landmarks: PassLandmarks, owner: Whole, drives: list[tuple[str, float, Evidence]], n: int
+    landmarks: TraversalLandmarks, owner: Whole, drives: list[tuple[str, float, Evidence]], n: int
 ) -> dict[str, NDArray[np.generic]]:
-    """The columns of evidence `(n,)`: passes, directions, ranges, scatter, share of looks."""
+    """The columns of evidence `(n,)`: traversals, directions, ranges, scatter, share of scans."""
     directions = np.zeros(n, dtype=np.int64)
     np.bitwise_or.at(directions, owner, landmarks.directions)
     nearest, farthest = np.full(n, np.inf), np.full(n, -np.inf)
     np.fmin.at(nearest, owner, landmarks.range_min_m)
     np.fmax.at(farthest, owner, landmarks.range_max_m)
-    seen = np.sum([counts.seen for _, _, counts in drives], axis=0)
-    looks = np.sum([counts.looks for _, _, counts in drives], axis=0)
+    seen = np.sum([counts.detected for _, _, counts in drives], axis=0)
+    views = np.sum([counts.expected for _, _, counts in drives], axis=0)
     return {
         "passes": np.bincount(owner, minlength=n).astype(np.int64),
         "directions": np.bitwise_count(directions).astype(np.int64),
@@ -51,7 +51,7 @@ def evidence_columns(
         "range_max_m": np.where(np.isfinite(farthest), farthest, np.nan),
         "width_sd_m": weighted(landmarks.width_sd_m, landmarks.observations, owner, n),
         "height_sd_m": weighted(landmarks.height_sd_m, landmarks.observations, owner, n),
-        "seen_share": np.where(looks > 0, seen / np.where(looks > 0, looks, 1.0), np.nan),
+        "seen_share": np.where(views > 0, seen / np.where(views > 0, views, 1.0), np.nan),
     }
 
 
@@ -75,17 +75,18 @@ def building_reports(
     for part, drift in zip(ordered, drifts or (), strict=False):
         if drift.size_m > 0.1:
             reports.append(
-                f"drive {part.sightings.drive}: its reference drifts; its passes were levelled by "
+                f"drive {part.detections.drive}: its reference drifts; its passes were levelled by "
                 f"{drift.size_m:.2f} m (rms), which leaves {np.median(drift.sd_m):.2f} m an axis"
             )
-    lost = sum(part.sightings.without_pose for part in ordered)
+    lost = sum(part.detections.without_pose for part in ordered)
     if lost:
         reports.append(f"{lost} scans have no reference pose and were left out")
     error = merged.reference_error
-    if error.pass_sd_m is not None:
+    if error.traversal_sd_m is not None:
         reports.append(
             "beyond the detector's own error, poles differ by "
-            f"{error.pass_sd_m:.3f} m between passes of a drive ({error.pass_pairs} meetings) "
+            f"{error.traversal_sd_m:.3f} m between passes of a drive "
+            f"({error.traversal_pairs} meetings) "
             f"and by {error.drive_sd_m:.3f} m between drives ({error.drive_pairs})"
             + ("; --align would level them" if error.drive_sd_m > 0.2 and not align else "")
         )

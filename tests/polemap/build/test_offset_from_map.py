@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polemap.build.map_offset import offset_from_map
+from polemap.build.offset_from_map import offset_from_map
 from polemap.map.landmark_map import PoleMap
 from polemap.stereo.rig import Mounting, StereoRig
 from polemap.track.disparity_offset import with_disparity
@@ -26,15 +26,15 @@ def street(rng: np.random.Generator) -> PoleMap:
 def test_what_disparities_lack_is_told_among_other_things(lacking_px: float) -> None:
     rng = np.random.default_rng(3)
     mapped = street(rng)
-    looks = []
+    scans = []
     for east in np.arange(0.0, 120.0, 1.0):
         pose = np.array([float(east), 0.0, 0.0])
         true = inverse_transform_points(pose, mapped.points_m)
         true = true[(true[:, 0] > 6.0) & (true[:, 0] < 27.0)]
         seen = with_disparity(true, -lacking_px, RIG)
         other = np.column_stack([rng.uniform(6.0, 27.0, 12), rng.uniform(-8.0, 8.0, 12)])
-        looks.append((pose, np.concatenate([seen, other])))
-    assert offset_from_map(looks, mapped, RIG) == pytest.approx(lacking_px, abs=0.06)
+        scans.append((pose, np.concatenate([seen, other])))
+    assert offset_from_map(scans, mapped, RIG) == pytest.approx(lacking_px, abs=0.06)
 
 
 def test_too_little_tells_nothing() -> None:

@@ -1,8 +1,9 @@
-"""The sightings of one drive to pass landmarks: one row a pole a pass, robustly averaged.
+"""The detections of one drive to traversal landmarks: robust means, a row a pole a traversal.
 
-Within a pass (a stretch in which a pole stays in sight) the reference hardly changes its error, so
-that the sightings agree better with each other than with the truth. Their scatter therefore
-says how well the detector works; what the reference adds is kept apart until passes are merged.
+Within a traversal (a stretch in which a pole stays in sight) the reference hardly changes its
+error, so that the detections agree better with each other than with the truth. Their scatter
+therefore says how well the detector works; what the reference adds is kept apart until traversals
+are merged.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from polemap.build.config import MappingConfig
-from polemap.build.robust_means import mean_of_sightings, median_and_sd
-from polemap.build.sightings import Sightings
+from polemap.build.georeference import MapDetections
+from polemap.build.robust_means import mean_of_detections, median_and_sd
 from polemap.vehicle.kalman import chi_square_quantile
 
 Floats = NDArray[np.float64]
@@ -25,7 +26,7 @@ _LAGS = 30
 
 
 @dataclass(frozen=True, slots=True)
-class PassLandmarks:
+class TraversalLandmarks:
     """What one drive says about each pole it passed; every array has a row a landmark.
 
     Attributes:
@@ -34,15 +35,15 @@ class PassLandmarks:
         points_m: `(n, 2)`.
         covariance_m2: `(n, 2, 2)` of the detector alone.
         reference_sd_m: `(n,)` as the reference states it.
-        gain_m_per_px: `(n, 2)` how far an error of one pixel of disparity, the same in all looks,
+        gain_m_per_px: `(n, 2)` how far an error of one pixel of disparity, the same in all scans,
             moves it.
         aligned_sd_m: `(n,)` what levelling of a drifting reference leaves, an axis; zero without.
         lever_m: `(n,)` mean range: what the reference's yaw acts on.
         direction_rad: `(n,)` mean direction from the car to the pole, from grid east.
-        first_s, last_s: `(n,)` stamps of the first and last sighting.
+        first_s, last_s: `(n,)` stamps of the first and last detection.
         directions: `(n,)` bit field of the eighths of the circle it was seen from.
         range_min_m, range_max_m: `(n,)` from how near to how far it was seen.
-        width_sd_m, height_sd_m: `(n,)` robust scatter of single sightings.
+        width_sd_m, height_sd_m: `(n,)` robust scatter of single detections.
     """
 
     drive: NDArray[np.str_]
@@ -69,30 +70,30 @@ class PassLandmarks:
         return len(self.points_m)
 
 
-def associate(sightings: Sightings, config: MappingConfig) -> Whole:
-    """Number of the pass landmark that each sighting belongs to, `(n,)`.
+def associate(detections: MapDetections, config: MappingConfig) -> Whole:
+    """Number of the traversal landmark that each detection belongs to, `(n,)`.
 
-    Each look is matched one-to-one with the landmarks that are in sight (optimal assignment on
+    Each scan is matched one-to-one with the landmarks that are in sight (optimal assignment on
     gated Mahalanobis distances), so that two poles beside each other stay two.
     """
     gate = chi_square_quantile(config.gate_probability, 2)
-    numbers = np.full(len(sightings), -1, dtype=np.int64)
-    book = _Book(len(sightings))
-    starts = np.searchsorted(sightings.look, np.arange(len(sightings.looks) + 1))
-    for look in np.unique(sightings.look):
-        rows = np.arange(starts[look], starts[look + 1])
-        points, covariance = sightings.points_m[rows], sightings.covariance_m2[rows]
-        book.forget(float(sightings.looks.stamp_s[look]) - config.pass_gap_s)
-        distance = book.distances(points, covariance, config.gate_slack_m)
+    numbers = np.full(len(detections), -1, dtype=np.int64)
+    open_landmarks = _OpenLandmarks(len(detections))
+    starts = np.searchsorted(detections.scan, np.arange(len(detections.views) + 1))
+    for scan in np.unique(detections.scan):
+        rows = np.arange(starts[scan], starts[scan + 1])
+        points, covariance = detections.points_m[rows], detections.covariance_m2[rows]
+        open_landmarks.close_before(float(detections.views.stamp_s[scan]) - config.pass_gap_s)
+        distance = open_landmarks.distances(points, covariance, config.gate_slack_m)
         chosen = _assign(distance, gate)
-        numbers[rows] = book.absorb(
-            points, covariance, chosen, float(sightings.looks.stamp_s[look])
+        numbers[rows] = open_landmarks.fuse_scan(
+            points, covariance, chosen, float(detections.views.stamp_s[scan])
         )
     return numbers
 
 
 def _assign(distance: Floats, gate: float) -> Whole:
-    """Column for each row of the gated costs, -1 where none fits; optimal over the whole look."""
+    """Column for each row of the gated costs, -1 where none fits; optimal over the whole scan."""
     chosen = np.full(len(distance), -1, dtype=np.int64)
     if not distance.shape[1]:
         return chosen
@@ -107,29 +108,29 @@ def _assign(distance: Floats, gate: float) -> Whole:
     return chosen
 
 
-class _Book:
-    """The landmarks of a drive while their passes go on, in information form."""
+class _OpenLandmarks:
+    """The landmarks of a drive while their traversals go on, in information form."""
 
     def __init__(self, capacity: int) -> None:
         self._information = np.zeros((capacity, 3))  # ee, nn, en
         self._vector = np.zeros((capacity, 2))
-        self._best = np.full((capacity, 3), np.inf)  # covariance of the best sighting
+        self._best = np.full((capacity, 3), np.inf)  # covariance of the best detection
         self._last_s = np.full(capacity, -np.inf)
         self._active = np.empty(0, dtype=np.int64)
         self._count = 0
 
-    def forget(self, before_s: float) -> None:
-        """Close the passes of landmarks that were last seen before."""
+    def close_before(self, before_s: float) -> None:
+        """Close the traversals of landmarks that were last seen before."""
         self._active = self._active[self._last_s[self._active] >= before_s]
 
     def distances(self, points: Floats, covariance: Floats, slack_m: float) -> Floats:
-        """Squared Mahalanobis distances `(rows, active)` of a look's sightings."""
+        """Squared Mahalanobis distances `(rows, active)` of a scan's detections."""
         info = self._information[self._active]
         det = info[:, 0] * info[:, 1] - info[:, 2] ** 2
         vector = self._vector[self._active]
         east = (info[:, 1] * vector[:, 0] - info[:, 2] * vector[:, 1]) / det
         north = (info[:, 0] * vector[:, 1] - info[:, 2] * vector[:, 0]) / det
-        # neighbouring sightings err alike: a landmark is not trusted below half of its best one
+        # neighbouring detections err alike: a landmark is not trusted below half of its best one
         own = 0.25 * self._best[self._active] + np.array([slack_m**2, slack_m**2, 0.0])
         ee = covariance[:, None, 0, 0] + own[None, :, 0]
         nn = covariance[:, None, 1, 1] + own[None, :, 1]
@@ -137,8 +138,8 @@ class _Book:
         de, dn = points[:, None, 0] - east, points[:, None, 1] - north
         return np.asarray((de**2 * nn - 2.0 * de * dn * en + dn**2 * ee) / (ee * nn - en**2))
 
-    def absorb(self, points: Floats, covariance: Floats, chosen: Whole, stamp_s: float) -> Whole:
-        """Add a look's sightings to their landmarks, or begin new ones; their numbers."""
+    def fuse_scan(self, points: Floats, covariance: Floats, chosen: Whole, stamp_s: float) -> Whole:
+        """Add a scan's detections to their landmarks, or begin new ones; their numbers."""
         fresh = np.flatnonzero(chosen < 0)
         numbers = np.empty(len(points), dtype=np.int64)
         numbers[chosen >= 0] = self._active[chosen[chosen >= 0]]
@@ -150,7 +151,7 @@ class _Book:
         information = np.stack([nn / det, ee / det, -en / det], axis=1)
         east = information[:, 0] * points[:, 0] + information[:, 2] * points[:, 1]
         north = information[:, 2] * points[:, 0] + information[:, 1] * points[:, 1]
-        # one sighting a landmark a look, so that plain indexing adds each of them
+        # one detection a landmark a scan, so that plain indexing adds each of them
         self._information[numbers] += information
         self._vector[numbers] += np.stack([east, north], axis=1)
         better = ee + nn < self._best[numbers, 0] + self._best[numbers, 1]
@@ -159,16 +160,16 @@ class _Book:
         return numbers
 
 
-def correlation_length(sightings: Sightings, numbers: Whole, points_m: Floats) -> float:
-    """In how many successive sightings the detector's error repeats: 1 for white noise.
+def correlation_length(detections: MapDetections, numbers: Whole, points_m: Floats) -> float:
+    """In how many successive detections the detector's error repeats: 1 for white noise.
 
     The integrated autocorrelation, `1 + 2 sum rho_k` up to the first lag without correlation, of
-    the sightings' distances from their landmark, pooled over all landmarks.
+    the detections' distances from their landmark, pooled over all landmarks.
     """
-    residual = sightings.points_m - points_m[numbers]
-    order = np.lexsort((sightings.look, numbers))
+    residual = detections.points_m - points_m[numbers]
+    order = np.lexsort((detections.scan, numbers))
     residual, owner = residual[order], numbers[order]
-    scale = np.sqrt(np.trace(sightings.covariance_m2[order], axis1=1, axis2=2) / 2.0)
+    scale = np.sqrt(np.trace(detections.covariance_m2[order], axis1=1, axis2=2) / 2.0)
     residual = residual / scale[:, None]
     size = np.linalg.norm(residual, axis=1)
     residual = residual * np.minimum(1.0, 3.0 / np.maximum(size, 1e-12))[:, None]
@@ -185,46 +186,48 @@ def correlation_length(sightings: Sightings, numbers: Whole, points_m: Floats) -
     return total
 
 
-def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks, Whole]:
-    """Robust mean of the sightings of every pass landmark.
+def average_traversals(
+    detections: MapDetections, numbers: Whole
+) -> tuple[TraversalLandmarks, Whole]:
+    """Robust mean of the detections of every traversal landmark.
 
     Returns:
-        The landmarks, and for each sighting the row of its landmark `(n,)`.
+        The landmarks, and for each detection the row of its landmark `(n,)`.
     """
     present, rows = np.unique(numbers, return_inverse=True)
     n = len(present)
-    point, covariance, weight, gain = mean_of_sightings(
-        sightings.points_m, sightings.covariance_m2, sightings.gain_m_per_px, rows, n
+    point, covariance, weight, gain = mean_of_detections(
+        detections.points_m, detections.covariance_m2, detections.gain_m_per_px, rows, n
     )
-    repeats = correlation_length(sightings, rows, point)
+    repeats = correlation_length(detections, rows, point)
     count = np.bincount(rows, minlength=n).astype(np.float64)
-    # n sightings are worth n / repeats independent ones, but never less than one
+    # n detections are worth n / repeats independent ones, but never less than one
     covariance = covariance * np.minimum(repeats, count)[:, None, None]
     direction = np.arctan2(
-        np.bincount(rows, weight * np.sin(sightings.direction_rad), n),
-        np.bincount(rows, weight * np.cos(sightings.direction_rad), n),
+        np.bincount(rows, weight * np.sin(detections.direction_rad), n),
+        np.bincount(rows, weight * np.cos(detections.direction_rad), n),
     )
-    eighth = np.floor((sightings.direction_rad + np.pi) / (np.pi / 4.0)).astype(np.int64) % 8
+    eighth = np.floor((detections.direction_rad + np.pi) / (np.pi / 4.0)).astype(np.int64) % 8
     directions = np.zeros(n, dtype=np.int64)
     np.bitwise_or.at(directions, rows, 1 << eighth)
     total = np.bincount(rows, weight, n)
-    width, width_sd = median_and_sd(sightings.width_m, rows, n)
-    height, height_sd = median_and_sd(sightings.height_m, rows, n)
+    width, width_sd = median_and_sd(detections.width_m, rows, n)
+    height, height_sd = median_and_sd(detections.height_m, rows, n)
     first, last = np.full(n, np.inf), np.full(n, -np.inf)
-    np.minimum.at(first, rows, sightings.stamp_s)
-    np.maximum.at(last, rows, sightings.stamp_s)
+    np.minimum.at(first, rows, detections.stamp_s)
+    np.maximum.at(last, rows, detections.stamp_s)
     nearest, farthest = np.full(n, np.inf), np.zeros(n)
-    np.minimum.at(nearest, rows, sightings.range_m)
-    np.maximum.at(farthest, rows, sightings.range_m)
-    landmarks = PassLandmarks(
-        drive=np.full(n, sightings.drive),
-        start_s=np.full(n, sightings.start_s),
+    np.minimum.at(nearest, rows, detections.range_m)
+    np.maximum.at(farthest, rows, detections.range_m)
+    landmarks = TraversalLandmarks(
+        drive=np.full(n, detections.drive),
+        start_s=np.full(n, detections.start_s),
         points_m=point,
         covariance_m2=covariance,
-        reference_sd_m=np.bincount(rows, weight * sightings.reference_sd_m, n) / total,
+        reference_sd_m=np.bincount(rows, weight * detections.reference_sd_m, n) / total,
         gain_m_per_px=gain,
         aligned_sd_m=np.zeros(n),
-        lever_m=np.bincount(rows, weight * sightings.range_m, n) / total,
+        lever_m=np.bincount(rows, weight * detections.range_m, n) / total,
         direction_rad=direction,
         width_m=width,
         width_sd_m=width_sd,
@@ -240,17 +243,17 @@ def average_passes(sightings: Sightings, numbers: Whole) -> tuple[PassLandmarks,
     return landmarks, rows.astype(np.int64)
 
 
-def together(rows: Whole, look: Whole, n: int) -> NDArray[np.int64]:
-    """Pairs `(k, 2)`, smaller row first, of landmarks that were seen in one look at least twice.
+def cannot_link_pairs(rows: Whole, scan: Whole, n: int) -> NDArray[np.int64]:
+    """Pairs `(k, 2)`, smaller row first, of landmarks that were seen in one scan at least twice.
 
     Two things seen at the same time are two things, however near they stand.
     """
-    order = np.argsort(look, kind="stable")
+    order = np.argsort(scan, kind="stable")
     pairs: list[Whole] = []
-    sorted_rows, sorted_look = rows[order], look[order]
-    most = int(np.bincount(look).max()) if len(look) else 0
+    sorted_rows, sorted_scan = rows[order], scan[order]
+    most = int(np.bincount(scan).max()) if len(scan) else 0
     for step in range(1, most):
-        same = sorted_look[step:] == sorted_look[:-step]
+        same = sorted_scan[step:] == sorted_scan[:-step]
         if not same.any():
             break
         pair = np.stack([sorted_rows[step:][same], sorted_rows[:-step][same]], axis=1)

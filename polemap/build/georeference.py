@@ -1,4 +1,4 @@
-"""Scans and reference poses to sightings in the map's frame: columns, one row a pole a look."""
+"""Scans and reference poses to detections in the map's frame: columns, one row a pole a scan."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Whole = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
+class ScanViews:
     """Every moment at which the detector looked, whether it saw a pole or not.
 
     Attributes:
@@ -41,33 +41,33 @@ class Looks:
     def __len__(self) -> int:
         return len(self.stamp_s)
 
-    def sees(self, look: Whole, points_m: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
-        """Which points `(k, 2)` of the map were in view in looks `(k,)`; range and bearing too.
+    def in_view_at(self, scan: Whole, points_m: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
+        """Which points `(k, 2)` of the map were in view in scans `(k,)`; range and bearing too.
 
         Range and bearing `(k,)` are those from the origin of the field of view.
         """
-        pose = self.poses[look]
+        pose = self.poses[scan]
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         offset = points_m - pose[:, :2]
-        x = c * offset[:, 0] + s * offset[:, 1] - self.origin_vehicle_m[look, 0]
-        y = -s * offset[:, 0] + c * offset[:, 1] - self.origin_vehicle_m[look, 1]
+        x = c * offset[:, 0] + s * offset[:, 1] - self.origin_vehicle_m[scan, 0]
+        y = -s * offset[:, 0] + c * offset[:, 1] - self.origin_vehicle_m[scan, 1]
         distance, bearing = np.hypot(x, y), np.arctan2(y, x)
-        low, high = self.bearing_min_rad[look], self.bearing_max_rad[look]
+        low, high = self.bearing_min_rad[scan], self.bearing_max_rad[scan]
         bins = self.free_range_m.shape[1]
         column = np.floor((bearing - low) / np.maximum(high - low, 1e-9) * bins).astype(np.int64)
-        free = self.free_range_m[look, np.clip(column, 0, bins - 1)]
-        inside = (column >= 0) & (column < bins) & (distance >= self.range_min_m[look])
+        free = self.free_range_m[scan, np.clip(column, 0, bins - 1)]
+        inside = (column >= 0) & (column < bins) & (distance >= self.range_min_m[scan])
         return inside & (distance <= free), distance, bearing
 
 
 @dataclass(frozen=True, slots=True)
-class Sightings:
-    """What one drive saw; every array has a row a sighting, sorted by look.
+class MapDetections:
+    """What one drive saw; every array has a row a detection, sorted by scan.
 
     Attributes:
         drive: its name.
-        start_s: stamp of its first look, which puts drives in order.
-        look: row in `looks`.
+        start_s: stamp of its first scan, which puts drives in order.
+        scan: row in `views`.
         points_m: `(n, 2)` in the map's frame.
         covariance_m2: `(n, 2, 2)` of the detector alone, in the map's frame.
         direction_rad: from the car to the pole, from grid east.
@@ -78,8 +78,8 @@ class Sightings:
 
     drive: str
     frame: EarthFrame
-    looks: Looks
-    look: Whole
+    views: ScanViews
+    scan: Whole
     points_m: Floats
     covariance_m2: Floats
     width_m: Floats
@@ -91,18 +91,18 @@ class Sightings:
     without_pose: int = 0
 
     def __len__(self) -> int:
-        return len(self.look)
+        return len(self.scan)
 
     @property
     def stamp_s(self) -> Floats:
-        return self.looks.stamp_s[self.look]
+        return self.views.stamp_s[self.scan]
 
     @property
     def start_s(self) -> float:
-        return float(self.looks.stamp_s[0]) if len(self.looks) else 0.0
+        return float(self.views.stamp_s[0]) if len(self.views) else 0.0
 
 
-def collect_sightings(
+def georeference_scans(
     drive: str,
     drive_frame: EarthFrame,
     scans: Iterable[PoleScan],
@@ -110,7 +110,7 @@ def collect_sightings(
     config: MappingConfig,
     frame: EarthFrame,
     focal_baseline_px_m: float | None = None,
-) -> Sightings:
+) -> MapDetections:
     """Put the scans of a drive into the map's frame by the reference.
 
     Args:
@@ -137,36 +137,38 @@ def collect_sightings(
         )
     chosen = [scan for scan, usable in zip(every, known, strict=True) if usable]
     poses = _poses_in(poses[known], drive_frame, frame)
-    looks = _looks(stamps[known], poses, chosen)
-    sightings = _rows(drive, frame, chosen, looks, reference, config)
-    sightings = replace(sightings, without_pose=int(np.count_nonzero(~known)))
+    views = _views(stamps[known], poses, chosen)
+    detections = _rows(drive, frame, chosen, views, reference, config)
+    detections = replace(detections, without_pose=int(np.count_nonzero(~known)))
     if focal_baseline_px_m is None:
-        return sightings
-    return replace(sightings, gain_m_per_px=_disparity_gain(sightings, focal_baseline_px_m))
+        return detections
+    return replace(detections, gain_m_per_px=_disparity_gain(detections, focal_baseline_px_m))
 
 
-def _disparity_gain(sightings: Sightings, focal_baseline_px_m: float) -> Floats:
+def _disparity_gain(detections: MapDetections, focal_baseline_px_m: float) -> Floats:
     """Displacement `(n, 2)` a pixel: along the ray from the camera, `r^2 / (f b)`."""
-    looks, row = sightings.looks, sightings.look
-    pose, origin = looks.poses[row], looks.origin_vehicle_m[row]
+    views, row = detections.views, detections.scan
+    pose, origin = views.poses[row], views.origin_vehicle_m[row]
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     turned = np.stack([c * origin[:, 0] - s * origin[:, 1], s * origin[:, 0] + c * origin[:, 1]])
-    ray = sightings.points_m - pose[:, :2] - turned.T
+    ray = detections.points_m - pose[:, :2] - turned.T
     return np.asarray(ray * np.hypot(ray[:, 0], ray[:, 1])[:, None] / focal_baseline_px_m)
 
 
-def take_looks(sightings: Sightings, chosen: NDArray[np.bool_]) -> tuple[Sightings, Whole]:
-    """The drive with some of its looks only, and the rows of the sightings that are left."""
-    taken = np.flatnonzero(chosen[sightings.look])
-    looks = Looks(**{f.name: getattr(sightings.looks, f.name)[chosen] for f in fields(Looks)})
-    plain = ("drive", "frame", "looks", "look", "without_pose")
+def take_scans(detections: MapDetections, chosen: NDArray[np.bool_]) -> tuple[MapDetections, Whole]:
+    """The drive with some of its scans only, and the rows of the detections that are left."""
+    taken = np.flatnonzero(chosen[detections.scan])
+    views = ScanViews(
+        **{f.name: getattr(detections.views, f.name)[chosen] for f in fields(ScanViews)}
+    )
+    plain = ("drive", "frame", "views", "scan", "without_pose")
     columns = {
-        field.name: getattr(sightings, field.name)[taken]
-        for field in fields(Sightings)
+        field.name: getattr(detections, field.name)[taken]
+        for field in fields(MapDetections)
         if field.name not in plain
     }
     number = np.cumsum(chosen) - 1
-    kept = replace(sightings, looks=looks, look=number[sightings.look[taken]], **columns)
+    kept = replace(detections, views=views, scan=number[detections.scan[taken]], **columns)
     return kept, taken
 
 
@@ -178,17 +180,17 @@ def _poses_in(poses: Floats, source: EarthFrame, target: EarthFrame) -> Floats:
     return np.column_stack([points, wrap_angle(poses[:, 2] + turn)])
 
 
-def _looks(stamps: Floats, poses: Floats, scans: list[PoleScan]) -> Looks:
-    views = [scan.view for scan in scans]
-    bins = max((len(view.free_range_m) for view in views if view is not None), default=1)
-    return Looks(
+def _views(stamps: Floats, poses: Floats, scans: list[PoleScan]) -> ScanViews:
+    regions = [scan.view for scan in scans]
+    bins = max((len(view.free_range_m) for view in regions if view is not None), default=1)
+    return ScanViews(
         stamp_s=stamps,
         poses=poses,
-        origin_vehicle_m=np.array([v.origin_vehicle_m if v else (0.0, 0.0) for v in views]),
-        bearing_min_rad=np.array([v.bearing_min_rad if v else 0.0 for v in views]),
-        bearing_max_rad=np.array([v.bearing_max_rad if v else 0.0 for v in views]),
-        range_min_m=np.array([v.range_min_m if v else 0.0 for v in views]),
-        free_range_m=np.stack([_free(view, bins) for view in views]),
+        origin_vehicle_m=np.array([v.origin_vehicle_m if v else (0.0, 0.0) for v in regions]),
+        bearing_min_rad=np.array([v.bearing_min_rad if v else 0.0 for v in regions]),
+        bearing_max_rad=np.array([v.bearing_max_rad if v else 0.0 for v in regions]),
+        range_min_m=np.array([v.range_min_m if v else 0.0 for v in regions]),
+        free_range_m=np.stack([_free(view, bins) for view in regions]),
     )
 
 
@@ -204,11 +206,11 @@ def _rows(
     drive: str,
     frame: EarthFrame,
     scans: list[PoleScan],
-    looks: Looks,
+    views: ScanViews,
     reference: ReferenceStream,
     config: MappingConfig,
-) -> Sightings:
-    look = np.repeat(np.arange(len(scans)), [len(scan) for scan in scans]).astype(np.int64)
+) -> MapDetections:
+    scan = np.repeat(np.arange(len(scans)), [len(scan) for scan in scans]).astype(np.int64)
     points = np.concatenate([scan.points_vehicle_m for scan in scans]).reshape(-1, 2)
     covariance = np.concatenate([scan.covariance_m2 for scan in scans]).reshape(-1, 2, 2)
     width = np.concatenate([scan.width_m for scan in scans])
@@ -218,17 +220,17 @@ def _rows(
     distance = np.hypot(points[:, 0], points[:, 1])
     usable = np.isfinite(points).all(axis=1) & (distance <= config.range_max_m)
     usable &= np.isfinite(covariance).all(axis=(1, 2))
-    look, points, covariance = look[usable], points[usable], covariance[usable]
-    pose = looks.poses[look]
+    scan, points, covariance = scan[usable], points[usable], covariance[usable]
+    pose = views.poses[scan]
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     turn = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
     in_map = np.einsum("nij,nj->ni", turn, points)
-    sd = reference.sd_at(looks.stamp_s)[look]
-    return Sightings(
+    sd = reference.sd_at(views.stamp_s)[scan]
+    return MapDetections(
         drive=drive,
         frame=frame,
-        looks=looks,
-        look=look,
+        views=views,
+        scan=scan,
         points_m=in_map + pose[:, :2],
         covariance_m2=turn @ covariance @ turn.transpose(0, 2, 1),
         width_m=width[usable],
@@ -236,5 +238,5 @@ def _rows(
         range_m=distance[usable],
         direction_rad=np.arctan2(in_map[:, 1], in_map[:, 0]),
         reference_sd_m=np.where(np.isfinite(sd), sd, config.reference_sd_m),
-        gain_m_per_px=np.zeros((len(look), 2)),
+        gain_m_per_px=np.zeros((len(scan), 2)),
     )

@@ -24,7 +24,7 @@ _LEAST = 30
 
 
 def offset_from_map(
-    looks: Sequence[tuple[Floats, Floats]], pole_map: PoleMap, rig: StereoRig
+    scans: Sequence[tuple[Floats, Floats]], pole_map: PoleMap, rig: StereoRig
 ) -> float:
     """What all disparities of a drive lack, in pixels: the median over what lies on a pole's ray.
 
@@ -32,13 +32,13 @@ def offset_from_map(
     there is too little.
 
     Args:
-        looks: pose `(3,)` of the vehicle in the map, and what was seen from there `(n, 2)`,
+        scans: pose `(3,)` of the vehicle in the map, and what was seen from there `(n, 2)`,
             vehicle frame.
         pole_map: known poles.
         rig: the camera.
     """
     lacking = [np.empty(0)]
-    for pose, seen in looks:
+    for pose, seen in scans:
         mapped = inverse_transform_points(pose, pole_map.points_m)
         mapped = _disparity(mapped[_disparity(mapped, rig)[:, 0] > 0.0], rig)
         gap = mapped[:, None] - _disparity(seen, rig)

@@ -8,11 +8,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.align import Shift, moved_landmarks, moved_sightings
 from polemap.build.config import MappingConfig
 from polemap.build.drift import Drift, middle_s
-from polemap.build.passes import PassLandmarks, associate, average_passes, together
-from polemap.build.sightings import Sightings, collect_sightings
+from polemap.build.georeference import MapDetections, georeference_scans
+from polemap.build.registration import Shift, moved_detections, moved_landmarks
+from polemap.build.traversals import (
+    TraversalLandmarks,
+    associate,
+    average_traversals,
+    cannot_link_pairs,
+)
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import PoleScan
 from polemap.drivelog.streams import ReferenceStream
@@ -22,43 +27,43 @@ Whole = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class DriveObservations:
-    """Sightings of a drive, its pass landmarks, and how they belong together.
+    """Detections of a drive, its traversal landmarks, and how they belong together.
 
     Attributes:
-        rows: `(len(sightings),)` pass landmark of each sighting.
-        apart: `(k, 2)` pairs of pass landmarks that were seen side by side.
+        rows: `(len(detections),)` traversal landmark of each detection.
+        cannot_link: `(k, 2)` pairs of traversal landmarks that were seen side by side.
     """
 
-    sightings: Sightings
-    landmarks: PassLandmarks
+    detections: MapDetections
+    landmarks: TraversalLandmarks
     rows: Whole
-    apart: Whole
+    cannot_link: Whole
 
     @property
     def order(self) -> tuple[float, str]:
         """Drives are told apart and put in order by this, never by how they were given."""
-        return (self.sightings.start_s, self.sightings.drive)
+        return (self.detections.start_s, self.detections.drive)
 
     def moved(self, shift: Shift) -> DriveObservations:
         """The same drive after a correction of its reference."""
         return replace(
             self,
-            sightings=moved_sightings(self.sightings, shift),
+            detections=moved_detections(self.detections, shift),
             landmarks=moved_landmarks(self.landmarks, shift),
         )
 
-    def levelled(self, drift: Drift) -> DriveObservations:
+    def without_drift(self, drift: Drift) -> DriveObservations:
         """The same drive after a correction that changes along it."""
-        looks, landmarks = self.sightings.looks, self.landmarks
-        move = drift.at(looks.stamp_s)
-        poses = looks.poses + np.column_stack([move, np.zeros(len(move))])
+        views, landmarks = self.detections.views, self.landmarks
+        move = drift.at(views.stamp_s)
+        poses = views.poses + np.column_stack([move, np.zeros(len(move))])
         time = middle_s(landmarks)
         return replace(
             self,
-            sightings=replace(
-                self.sightings,
-                looks=replace(looks, poses=poses),
-                points_m=self.sightings.points_m + move[self.sightings.look],
+            detections=replace(
+                self.detections,
+                views=replace(views, poses=poses),
+                points_m=self.detections.points_m + move[self.detections.scan],
             ),
             landmarks=replace(
                 landmarks,
@@ -77,43 +82,45 @@ def observe_drive(
     frame: EarthFrame,
     focal_baseline_px_m: float | None = None,
 ) -> DriveObservations:
-    """Sightings and pass landmarks of one drive in the map's frame.
+    """MapDetections and traversal landmarks of one drive in the map's frame.
 
     `focal_baseline_px_m` is the stereo camera's, where one saw the poles: its disparity errs alike
-    in all looks of a pass, which no scatter shows.
+    in all scans of a traversal, which no scatter shows.
 
     Raises:
         InputError: no scan has a reference pose.
         FrameError: no transformation leads from the drive's frame to the map's.
     """
-    sightings = collect_sightings(
+    detections = georeference_scans(
         name, drive_frame, scans, reference, config, frame, focal_baseline_px_m
     )
-    numbers = associate(sightings, config)
-    landmarks, rows = average_passes(sightings, numbers)
+    numbers = associate(detections, config)
+    landmarks, rows = average_traversals(detections, numbers)
     return DriveObservations(
-        sightings, landmarks, rows, together(rows, sightings.look, len(landmarks))
+        detections, landmarks, rows, cannot_link_pairs(rows, detections.scan, len(landmarks))
     )
 
 
-def join_landmarks(parts: Sequence[PassLandmarks]) -> PassLandmarks:
+def join_landmarks(parts: Sequence[TraversalLandmarks]) -> TraversalLandmarks:
     """The landmarks of several drives, one after the other."""
-    return PassLandmarks(
+    return TraversalLandmarks(
         **{
             field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(PassLandmarks)
+            for field in fields(TraversalLandmarks)
         }
     )
 
 
-def take_landmarks(landmarks: PassLandmarks, rows: Whole | NDArray[np.bool_]) -> PassLandmarks:
+def take_landmarks(
+    landmarks: TraversalLandmarks, rows: Whole | NDArray[np.bool_]
+) -> TraversalLandmarks:
     """Some rows of the landmarks."""
-    return PassLandmarks(
-        **{field.name: getattr(landmarks, field.name)[rows] for field in fields(PassLandmarks)}
+    return TraversalLandmarks(
+        **{field.name: getattr(landmarks, field.name)[rows] for field in fields(TraversalLandmarks)}
     )
 
 
-def join_apart(parts: Sequence[Whole], lengths: Sequence[int]) -> Whole:
+def join_cannot_link(parts: Sequence[Whole], lengths: Sequence[int]) -> Whole:
     """Pairs of several drives, renumbered for the joined landmarks."""
     starts = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(np.int64)
     return np.concatenate([part + start for part, start in zip(parts, starts, strict=True)])

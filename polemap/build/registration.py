@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.spatial import KDTree
 
-from polemap.build.passes import PassLandmarks
-from polemap.build.sightings import Sightings
+from polemap.build.georeference import MapDetections
+from polemap.build.traversals import TraversalLandmarks
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -130,21 +130,21 @@ def _least_squares(placed: Floats, target: Floats, centre: Floats) -> tuple[Floa
     return solution, float(np.sqrt((covariance[0, 0] + covariance[1, 1]) / 2.0))
 
 
-def moved_sightings(sightings: Sightings, shift: Shift) -> Sightings:
+def moved_detections(detections: MapDetections, shift: Shift) -> MapDetections:
     """All of a drive moved: poles, and the poses that they were seen from."""
     poses = np.column_stack(
         [
-            shift.points(sightings.looks.poses[:, :2]),
-            wrap_angle(sightings.looks.poses[:, 2] + shift.yaw_rad),
+            shift.points(detections.views.poses[:, :2]),
+            wrap_angle(detections.views.poses[:, 2] + shift.yaw_rad),
         ]
     )
     return replace(
-        sightings,
-        looks=replace(sightings.looks, poses=poses),
-        points_m=shift.points(sightings.points_m),
+        detections,
+        views=replace(detections.views, poses=poses),
+        points_m=shift.points(detections.points_m),
     )
 
 
-def moved_landmarks(landmarks: PassLandmarks, shift: Shift) -> PassLandmarks:
+def moved_landmarks(landmarks: TraversalLandmarks, shift: Shift) -> TraversalLandmarks:
     """Pass landmarks moved; a turn this small leaves their covariances as they are."""
     return replace(landmarks, points_m=shift.points(landmarks.points_m))
