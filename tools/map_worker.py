@@ -24,7 +24,7 @@ def open_part(path: Path, lap: str | None, seed: int) -> Drive:
 def scan(drive: Drive, settings: Settings, advance: Advance) -> list[PoleScan]:
     """Poles in the images; poles that were detected elsewhere go to the building as they are.
 
-    The building joins detections over whole traversals with the reference, which is stronger than any
+    The building joins detections over whole traversals with the reference, which beats any
     tracking on odometry: a tracker before it would only lose some.
     """
     if drive.has_frames:
