@@ -19,8 +19,11 @@ from polemap.localize.config import LocalizeConfig
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.filter import OutputFilter
 from polemap.localize.replay import replay
-from polemap.simulate.point_drive import PointDrive, PointPose, point_drive
-from polemap.simulate.pole_street import pole_street
+from polemap.simulate.config import DetectorConfig
+from polemap.simulate.points.drive import PointDrive, simulate_points
+from polemap.simulate.points.motion import CityTraffic, WhiteAccelerations
+from polemap.simulate.points.pose_source import PointPose, PoseSource
+from polemap.simulate.points.presets import POSES_IN_CITY, STREWN_CITY
 from polemap.vehicle.packed import unpack
 
 Floats = NDArray[np.float64]
@@ -33,7 +36,7 @@ def run() -> dict[str, dict[str, float]]:
     poses: list[float] = []
     ticks: list[float] = []
     for seed in range(3):
-        drive = point_drive(np.random.default_rng(seed), duration_s=20.0)
+        drive = city_drive(seed, duration_s=20.0)
         output, tick = OutputFilter(OutputConfig()), 0
         for arrival, kind, sample in events_of(drive):
             while tick / 100 < arrival:
@@ -65,7 +68,7 @@ def latency(seeds: int = 20) -> dict[str, dict[str, float]]:
     table: dict[str, list[list[float]]] = {"no latency": [], "110 ms late": [], "delay ignored": []}
     for seed in range(seeds):
         for name, late in (("no latency", 1e-6), ("110 ms late", 0.11), ("delay ignored", 0.11)):
-            drive = point_drive(np.random.default_rng(seed), duration_s=25.0, latency_s=late)
+            drive = city_drive(seed, duration_s=25.0, pose_source=PoseSource(latency_s=late))
             events = events_of(drive)
             if name == "delay ignored":
                 events = [(a, k, replace(s, stamp_s=a) if k else s) for a, k, s in events]
@@ -97,10 +100,11 @@ def matched(seeds: int = 50) -> dict[str, dict[str, float]]:
     )
     rows: dict[str, list[float]] = {"ctrv": [], "city": []}
     for seed in range(seeds):
-        for name, drawn in (("ctrv", densities), ("city", None)):
-            drive = point_drive(
-                np.random.default_rng(seed), duration_s=15.0, speed_mps=15.0, densities=drawn
-            )
+        for name, motion in (
+            ("ctrv", WhiteAccelerations(15.0, *densities)),
+            ("city", CityTraffic(15.0)),
+        ):
+            drive = city_drive(seed, duration_s=15.0, motion=motion)
             _, values = _track(drive, events_of(drive), config, after_s=3.0)
             rows[name].append(float(values.mean() / 3))
     return {
@@ -116,16 +120,20 @@ def consistency(seeds: int = 50, particles: int = 300) -> dict[str, dict[str, fl
     """
     rows: dict[str, list[float]] = {"pf": [], "kf": [], "kf_independent": [], "rmse": []}
     lost = 0
+    detector = STREWN_CITY.detector or DetectorConfig()
+    scenario = replace(
+        STREWN_CITY,
+        poles_per_m2=0.012,
+        detector=detector.model_copy(update={"rate_hz": 22.0}),
+    )
     for seed in range(seeds):
-        street = pole_street(
-            seed, duration_s=20.0, scan_hz=22.0, arrival_s=0.03, poles_per_m2=0.012
-        )
+        street = simulate_points(scenario, np.random.default_rng(seed))
         config = LocalizeConfig(particles=particles)
         done = replay(street.drive, street.pole_map, street.scans, config, seed=seed)
         pf_late = done.pf.stamps_s > 8.0
         kf_late = done.kf.stamps_s > 8.0
-        pf_true = street.truth.truth(done.pf.stamps_s[pf_late])[:, :3]
-        kf_true = street.truth.truth(done.kf.stamps_s[kf_late])[:, :3]
+        pf_true = street.motion.at(done.pf.stamps_s[pf_late])
+        kf_true = street.motion.at(done.kf.stamps_s[kf_late])
         error = pose_errors(done.kf.poses[kf_late], kf_true)
         distance = np.hypot(error[:, 0], error[:, 1])
         if np.median(distance) > 2.0:
@@ -152,21 +160,32 @@ def consistency(seeds: int = 50, particles: int = 300) -> dict[str, dict[str, fl
 
 def _independent_nees(updates: Any, street: Any, config: LocalizeConfig) -> float:
     """What the NEES would be if each pose were taken as news."""
-    drive = street.truth
-    events: list[Event] = [(o.arrival_s, 0, o) for o in drive.odometry]
+    events = odometry_events(street)
     for update in updates:
         estimate = update.estimate
         if estimate.healthy:
             pose = PointPose(estimate.stamp_s, update.taken_s, estimate.pose, estimate.covariance)
             events.append((update.taken_s, 1, pose))
     settings = config.output.model_copy(update={"pose_errors": "independent"})
-    _, values = _track(drive, sorted(events, key=lambda e: e[:2]), settings, after_s=8.0)
+    _, values = _track(street, sorted(events, key=lambda e: e[:2]), settings, after_s=8.0)
     return float(values.mean() / 3)
+
+
+def city_drive(seed: int, **changes: Any) -> PointDrive:
+    """A drive through a city with odometry, GNSS and poses; `changes` are the scenario's."""
+    return simulate_points(replace(POSES_IN_CITY, **changes), np.random.default_rng(seed))
+
+
+def odometry_events(drive: PointDrive) -> list[Event]:
+    """Odometry by arrival: `(arrival, 0, sample)`."""
+    stream = drive.drive.odometry
+    samples = [stream.sample(row) for row in range(len(stream))] if stream is not None else []
+    return [(sample.arrival_s, 0, sample) for sample in samples]
 
 
 def events_of(drive: PointDrive) -> list[Event]:
     """Odometry (kind 0) and poses (kind 1) by arrival: `(arrival, kind, sample)`."""
-    events: list[Event] = [(o.arrival_s, 0, o) for o in drive.odometry]
+    events = odometry_events(drive)
     events += [(pose.arrival_s, 1, pose) for pose in drive.poses]
     return sorted(events, key=lambda event: event[:2])
 
@@ -194,7 +213,7 @@ def _track(
                 means.append(state.mean[:3])
                 covariances.append(unpack(state.upper)[:3, :3])
         _give(output, kind, sample)
-    true = drive.truth(np.array(stamps))[:, :3]
+    true = drive.motion.at(np.array(stamps))
     return (
         pose_errors(np.array(means), true),
         nees(np.array(means), true, np.array(covariances)),

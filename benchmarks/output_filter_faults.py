@@ -13,12 +13,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.output_filter import Event, events_of, show
+from benchmarks.output_filter import Event, city_drive, events_of, show
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.health import HealthRecord
-from polemap.simulate.point_drive import PointDrive, PointPose, point_drive
+from polemap.simulate.points.drive import PointDrive
+from polemap.simulate.points.pose_source import PointPose
 
 Floats = NDArray[np.float64]
 Fault = Callable[[PointDrive, list[Event]], list[Event]]
@@ -128,13 +129,15 @@ def _one_fault(
     *,
     with_gnss: bool,
 ) -> tuple[float, ...]:
-    drive = point_drive(np.random.default_rng(seed), duration_s=28.0)
+    drive = city_drive(seed, duration_s=28.0)
     events = events_of(drive)
-    if with_gnss:
-        events += [(fix.arrival_s, 2, fix) for fix in drive.gnss]
+    gnss = drive.drive.gnss
+    if with_gnss and gnss is not None:
+        fixes = [gnss.sample(row) for row in range(len(gnss))]
+        events += [(fix.arrival_s, 2, fix) for fix in fixes]
         events.sort(key=lambda event: event[:2])
     stamps, poses, motion, flags, reinitialized = _localize(drive, fault(drive, events))
-    true = drive.truth(stamps)
+    true = drive.motion.at(stamps)
     error = np.hypot(*(poses[:, :2] - true[:, :2]).T)
     after = stamps >= _FROM_S
     lasting = name.startswith(("none", "odometry clock", "pose clock"))

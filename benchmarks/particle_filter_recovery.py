@@ -17,12 +17,15 @@ from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
-from polemap.simulate.point_world import PointDrive, PointScenario, simulate_points
+from polemap.simulate.config import DetectorConfig
+from polemap.simulate.points.drive import WHEELBASE_M, PointDrive, PointScenario, simulate_points
+from polemap.simulate.points.motion import WindingRoad
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 
 _BASE = PointScenario(duration_s=40.0)
+_POOR = DetectorConfig(clutter_share=0.3, detected_share=0.6)
 A_THIRD_OF_THE_NOISE = {
     name: value / 3.0 for name, value in LocalizeConfig() if name.startswith("alpha")
 }
@@ -45,25 +48,26 @@ CASES = {
     "start_turned_180": Case(start_offset=(0.0, 0.0, np.pi), since_s=0.0),
     "start_50m_and_180": Case(start_offset=(30.0, 40.0, np.pi), since_s=0.0),
     "start_50m_and_180_no_gnss": Case(
-        replace(_BASE, gnss_outage=(0.0, np.inf)), start_offset=(30.0, 40.0, np.pi), since_s=0.0
+        replace(_BASE, gnss=None), start_offset=(30.0, 40.0, np.pi), since_s=0.0
     ),
     "kidnapped_no_gnss": Case(
-        replace(_BASE, kidnap_s=15.0, gnss_outage=(10.0, np.inf)), since_s=15.0
+        replace(_BASE, kidnap_s=15.0, gnss_outage_s=(10.0, np.inf)), since_s=15.0
     ),
     "gnss_outage_60s": Case(
-        replace(_BASE, duration_s=90.0, gnss_outage=(10.0, 70.0)), since_s=10.0
+        replace(_BASE, duration_s=90.0, gnss_outage_s=(10.0, 70.0)), since_s=10.0
     ),
     "standing_10s_few_poles": Case(
-        replace(_BASE, duration_s=50.0, standstill_s=10.0, pole_spacing_m=12.0), since_s=10.0
+        replace(_BASE, duration_s=50.0, motion=WindingRoad(standstill_s=10.0), pole_spacing_m=12.0),
+        since_s=10.0,
     ),
-    "clutter_30": Case(replace(_BASE, clutter_share=0.3)),
-    "missed_40": Case(replace(_BASE, p_detection=0.6)),
-    "clutter_30_missed_40": Case(replace(_BASE, clutter_share=0.3, p_detection=0.6)),
-    "kidnapped_clutter_missed": Case(
-        replace(_BASE, kidnap_s=15.0, clutter_share=0.3, p_detection=0.6), since_s=15.0
-    ),
+    "clutter_30": Case(replace(_BASE, detector=DetectorConfig(clutter_share=0.3))),
+    "missed_40": Case(replace(_BASE, detector=DetectorConfig(detected_share=0.6))),
+    "clutter_30_missed_40": Case(replace(_BASE, detector=_POOR)),
+    "kidnapped_clutter_missed": Case(replace(_BASE, kidnap_s=15.0, detector=_POOR), since_s=15.0),
     "noise_a_third": Case(settings=A_THIRD_OF_THE_NOISE),
-    "11hz_300_particles": Case(replace(_BASE, scan_hz=11.0), {"particles": 300}),
+    "11hz_300_particles": Case(
+        replace(_BASE, detector=DetectorConfig(rate_hz=11.0)), {"particles": 300}
+    ),
 }
 
 
@@ -73,11 +77,11 @@ def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], 
     particle_filter = ParticleFilter(
         drive.pole_map,
         LocalizeConfig(**case.settings),
-        drive.wheelbase_m,
+        WHEELBASE_M,
         np.random.default_rng(seed + 1000),
     )
     if case.start_offset is not None:
-        start = drive.truth[0] + np.array(case.start_offset)
+        start = drive.motion.at(0.0)[0] + np.array(case.start_offset)
         particle_filter.set_pose(0.0, start, np.diag([0.25, 0.25, 0.003]))
     antenna, estimates = np.zeros(2), []
     for sample in drive.samples:
@@ -101,7 +105,7 @@ def judge(drive: PointDrive, estimates: list[PfEstimate], since_s: float) -> dic
     """Seconds from `since_s` until the error stays below 1 m and 3 degrees, seconds in which a pose
     more than 1 m off was called healthy, and the errors of what comes 15 s after `since_s`."""
     stamps = np.array([e.stamp_s for e in estimates])
-    truth = np.array([drive.truth_at(s) for s in stamps])
+    truth = drive.motion.at(stamps)
     offset = np.array([e.pose for e in estimates]) - truth
     offset[:, 2] = wrap_angle(offset[:, 2])
     c, s = np.cos(truth[:, 2]), np.sin(truth[:, 2])

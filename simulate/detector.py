@@ -24,12 +24,26 @@ class PoleDetector:
     Args:
         points: `(n, 2)` where they stand, in the frame of the poses, metres.
         widths: `(n,)` metres.
+        config: how well it detects.
+        rng: all randomness.
+        visibility: `(n,)` factor of the detected share; 1 by default.
+        error_time_s: correlation time of the part that lasts; by default the whole drive.
     """
 
     def __init__(
-        self, points: Floats, widths: Floats, config: DetectorConfig, rng: np.random.Generator
+        self,
+        points: Floats,
+        widths: Floats,
+        config: DetectorConfig,
+        rng: np.random.Generator,
+        *,
+        visibility: Floats | None = None,
+        error_time_s: float = np.inf,
     ) -> None:
         self._points, self._widths, self._config, self._rng = points, widths, config, rng
+        visible = np.ones(len(points)) if visibility is None else visibility
+        self._share = config.detected_share * visible
+        self._error_time_s, self._last_s = error_time_s, -np.inf
         self._view = VisibleRegion(
             _CAMERA_M,
             -config.half_view_rad,
@@ -43,10 +57,11 @@ class PoleDetector:
     def scan(self, stamp_s: float, pose: Floats) -> PoleScan:
         """The scan from a rear-axle pose `(3,)`."""
         config, view, rng = self._config, self._view, self._rng
+        self._forget(stamp_s)
         c, s = np.cos(pose[2]), np.sin(pose[2])
         local = (self._points - pose[:2]) @ np.array([[c, -s], [s, c]])
         rows = np.flatnonzero(view.contains(local))
-        rows = rows[rng.random(len(rows)) < config.detected_share]
+        rows = rows[rng.random(len(rows)) < self._share[rows]]
         noise = np.sqrt(config.correlated_share) * self._lasting[rows] + np.sqrt(
             1.0 - config.correlated_share
         ) * rng.standard_normal((len(rows), 2))
@@ -71,6 +86,14 @@ class PoleDetector:
             existence=np.full(count, _EXISTENCE),
             view=view,
         )
+
+    def _forget(self, stamp_s: float) -> None:
+        """Let the part of the errors that lasts decay since the scan before."""
+        if np.isfinite(self._error_time_s):
+            keep = np.exp(-(stamp_s - self._last_s) / self._error_time_s)
+            fresh = self._rng.standard_normal(self._lasting.shape)
+            self._lasting = keep * self._lasting + np.sqrt(1.0 - keep**2) * fresh
+        self._last_s = stamp_s
 
 
 def _measured(

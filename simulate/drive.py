@@ -26,6 +26,7 @@ from polemap.simulate import sensors
 from polemap.simulate.camera import expose, exposure_of, make_units
 from polemap.simulate.camera_pose import camera_poses
 from polemap.simulate.config import SimulateConfig
+from polemap.simulate.detector import PoleDetector
 from polemap.simulate.driver import Motion, drive_route
 from polemap.simulate.dynamics import CAR
 from polemap.simulate.faults import age_map, apply_faults
@@ -230,7 +231,14 @@ def simulate_drive(
     draws = np.random.default_rng([seed, 23])
     seen = []
     if scans:
-        seen = sensors.pole_scans(world.poles(), plan.motion, config.detector, draws)
+        poles = world.poles()
+        detector = PoleDetector(
+            np.array([[pole.x_m, pole.y_m] for pole in poles]).reshape(-1, 2),
+            np.array([pole.width_m for pole in poles]),
+            config.detector,
+            draws,
+        )
+        seen = sensors.pole_scans(detector, plan.motion, config.detector.rate_hz)
     with folder_writer(
         Path(out), name=f"{chosen.name}_{seed}", frame=frame, wheelbase_m=CAR.wheelbase_m,
         rig=config.camera.rig() if images else None, gnss_antenna_m=antenna, notes=notes,

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import PoleScan
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from polemap.simulate.config import (
-    DetectorConfig,
-    GnssConfig,
-    LatencyConfig,
-    OdometryConfig,
-    ReferenceConfig,
-)
+from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
 from polemap.simulate.detector import PoleDetector
-from polemap.simulate.driver import Motion
 from polemap.simulate.skyline import Fronts, echoes
-from polemap.simulate.world import WorldObject
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 # of a multipath error, how much lies along the front against across it
 _ALONG_FRONT = 0.5
+
+
+class Motion(Protocol):
+    """The true motion of a rear axle, of a car in a world or of a point."""
+
+    @property
+    def stamp_s(self) -> Floats:
+        """`(n,)` growing."""
+        ...
+
+    def at(self, stamps_s: Floats) -> Floats:
+        """Poses `(m, 3)` at the stamps `(m,)`."""
+        ...
+
+    def value(self, name: str, stamps_s: Floats) -> Floats:
+        """`speed_mps`, `yaw_rate_radps` or `acceleration_mps2`, `(m,)` at the stamps."""
+        ...
 
 
 def gauss_markov(
@@ -157,16 +166,8 @@ def frame_times(
     return stamps[kept], np.maximum.accumulate(late)[kept]
 
 
-def pole_scans(
-    poles: Sequence[WorldObject], motion: Motion, config: DetectorConfig, rng: np.random.Generator
-) -> list[PoleScan]:
+def pole_scans(detector: PoleDetector, motion: Motion, rate_hz: float) -> list[PoleScan]:
     """What a detector reports of poles along a drive; nothing hides them."""
-    detector = PoleDetector(
-        np.array([[pole.x_m, pole.y_m] for pole in poles]).reshape(-1, 2),
-        np.array([pole.width_m for pole in poles]),
-        config,
-        rng,
-    )
-    stamps = np.arange(motion.stamp_s[0], motion.stamp_s[-1], 1.0 / config.rate_hz)
+    stamps = np.arange(motion.stamp_s[0], motion.stamp_s[-1], 1.0 / rate_hz)
     poses = motion.at(stamps)
     return [detector.scan(float(t), pose) for t, pose in zip(stamps, poses, strict=True)]

@@ -18,9 +18,10 @@ from polemap.localize.localizer import Localizer
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.simulate.closed_loop.cars import PASSENGER_CAR, plant_of
 from polemap.simulate.closed_loop.road import Road, winding_road
+from polemap.simulate.config import DetectorConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState
-from polemap.simulate.point_world import PointScenario
+from polemap.simulate.points.drive import GNSS, ODOMETRY
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.pose import Pose2D
 
@@ -138,9 +139,8 @@ def follow_path(
     rngs = [np.random.default_rng([seed, part]) for part in range(4)]
     bends = min(scenario.lateral_mps2 / scenario.speed_mps**2, scenario.curvature_max_radpm)
     length = scenario.speed_mps * (scenario.duration_s + 2.0) + 60.0
-    world = PointScenario(scan_delay_s=scenario.camera_delay_s)
-    road = winding_road(length, bends, world, rngs[0])
-    return _Drive(car, scenario, road, world, rngs[1:], config or LocalizeConfig()).run()
+    road = winding_road(length, bends, rngs[0])
+    return _Drive(car, scenario, road, rngs[1:], config or LocalizeConfig()).run()
 
 
 class _Drive:
@@ -151,26 +151,25 @@ class _Drive:
         car: Car,
         scenario: FollowScenario,
         road: Road,
-        world: PointScenario,
         rngs: list[np.random.Generator],
         config: LocalizeConfig,
     ) -> None:
         rng, seen, particles = rngs
         self._car, self._scenario, self._road, self._rng = road_car(car), scenario, road, rng
-        self._world = world
         self._parameters = plant_of(self._car, PASSENGER_CAR)
         self._plant = Plant(self._parameters)
         self._localizer = Localizer(
             road.pole_map, config, car.wheelbase_m, particles, processing_delay_s=0.0
         )
-        self._detector = PoleDetector(road.poles_m, road.widths_m, world.detector(), seen)
+        detector = DetectorConfig(latency_s=scenario.camera_delay_s)
+        self._detector = PoleDetector(road.poles.points_m, road.poles.width_m, detector, seen)
         self._raw: PfEstimate | None = None
         self._waiting: deque[tuple[float, Floats]] = deque()
         self._past: deque[tuple[float, Pose2D]] = deque()
         # what stays wrong over the whole drive, drawn once
-        self._scale = 1.0 + world.odometry_scale * rng.standard_normal()
-        self._bias = world.odometry_bias_radps * rng.standard_normal()
-        self._gnss_error = world.gnss_sd_m * rng.standard_normal(2)
+        self._scale = 1.0 + ODOMETRY.speed_scale_sd * rng.standard_normal()
+        self._bias = ODOMETRY.yaw_bias_sd_radps * rng.standard_normal()
+        self._gnss_error = GNSS.wander_sd_m * rng.standard_normal(2)
         self._speed, self._yaw_rate = scenario.speed_mps, 0.0
         self._settings = StanleySettings(
             front_slip_rad_per_mps2=car.mass_kg
@@ -230,16 +229,18 @@ class _Drive:
         return rear.x_m + length * cos(rear.yaw_rad), rear.y_m + length * sin(rear.yaw_rad)
 
     def _sense(self, now: float, state: PlantState, ticks: dict[str, float]) -> None:
-        world, rng = self._world, self._rng
+        rng = self._rng
         if now >= ticks["odometry"] - 1e-9:
             ticks["odometry"] += ODOMETRY_S
             spin = 0.5 * (state.wheel_radps[REAR_LEFT] + state.wheel_radps[REAR_RIGHT])
             self._speed = float(
                 self._scale * self._parameters.wheel_radius_m * spin
-                + world.speed_sd_mps * rng.standard_normal()
+                + ODOMETRY.speed_noise_sd_mps * rng.standard_normal()
             )
             self._yaw_rate = float(
-                state.yaw_rate_radps + self._bias + world.yaw_rate_sd_radps * rng.standard_normal()
+                state.yaw_rate_radps
+                + self._bias
+                + ODOMETRY.yaw_noise_sd_radps * rng.standard_normal()
             )
             if self._scenario.source != "truth":
                 self._localizer.push(OdometrySample(now, now, self._speed, self._yaw_rate))
@@ -248,10 +249,10 @@ class _Drive:
         rear = self._rear(state)
         if now >= ticks["gnss"] - 1e-9:
             ticks["gnss"] += GNSS_S
-            keep = np.exp(-GNSS_S / world.gnss_correlation_s)
-            kick = world.gnss_sd_m * np.sqrt(1.0 - keep**2) * rng.standard_normal(2)
+            keep = np.exp(-GNSS_S / GNSS.wander_time_s)
+            kick = GNSS.wander_sd_m * np.sqrt(1.0 - keep**2) * rng.standard_normal(2)
             self._gnss_error = keep * self._gnss_error + kick
-            x, y = (self._gnss_error + 0.2 * rng.standard_normal(2)).tolist()
+            x, y = (self._gnss_error + GNSS.noise_sd_m * rng.standard_normal(2)).tolist()
             self._localizer.push(GnssFix(now, now, rear.x_m + x, rear.y_m + y, 1.0))
         if now >= ticks["scan"] - 1e-9:
             ticks["scan"] += SCAN_S

@@ -78,7 +78,7 @@ def path_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]
         f"An oscillation is a row of {SWINGS} or more successive swings of {SWING_M} m or more, "
         f"each within {SWING_S:.0f} s; the longest row is given, with the rms steering rate.",
         "Poles every 5 m, detector, odometry (1 % scale, 0.001 rad/s bias) and GNSS (2.5 m) as in "
-        "simulate/point_world.py; the car is the two-track plant, its speed held.",
+        "simulate/points; the car is the two-track plant, its speed held.",
     )
     return Study(
         NAME,

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from polemap.electric.control.path import Path
 from polemap.map.landmark_map import PoleMap
-from polemap.simulate.point_world import PointScenario, plant_poles
+from polemap.simulate.points.drive import FRAME
+from polemap.simulate.points.poles import Poles, roadside_poles
 
 Floats = NDArray[np.float64]
 _STEP_M = 0.5
@@ -23,15 +24,27 @@ class Road:
 
     path: Path
     pole_map: PoleMap
-    poles_m: Floats
-    widths_m: Floats
+    poles: Poles
     start: Floats
 
 
 def winding_road(
-    length_m: float, curvature_max_radpm: float, scenario: PointScenario, rng: np.random.Generator
+    length_m: float,
+    curvature_max_radpm: float,
+    rng: np.random.Generator,
+    *,
+    pole_spacing_m: float = 5.0,
+    map_sd_m: float = 0.05,
 ) -> Road:
-    """A road whose curvature is a sum of sines, straight over its first 30 m."""
+    """A road whose curvature is a sum of sines, straight over its first 30 m.
+
+    Args:
+        length_m: of the road.
+        curvature_max_radpm: of its sharpest bend.
+        rng: all randomness.
+        pole_spacing_m: mean way from one pole to the next, on both sides together.
+        map_sd_m: of the map's positions, in each axis.
+    """
     station = np.arange(0.0, length_m, _STEP_M)
     curvature = sum(
         np.sin(2.0 * np.pi * station / wave + rng.uniform(0.0, 2.0 * np.pi)) for wave in _WAVES_M
@@ -45,5 +58,5 @@ def winding_road(
     steps = _STEP_M * np.stack([np.cos(middle), np.sin(middle)], axis=1)
     points = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     poses = np.column_stack([points, yaw])
-    pole_map, poles, widths = plant_poles(poses, scenario, rng)
-    return Road(Path(points), pole_map, poles, widths, poses[0])
+    poles = roadside_poles(poses, pole_spacing_m, rng)
+    return Road(Path(points), poles.surveyed(FRAME, map_sd_m, rng), poles, poses[0])

@@ -1,14 +1,33 @@
 """Drives of points fed to the output filter, event by event."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from polemap.localize.output_filter.filter import OutputFilter
+from polemap.simulate.points.drive import simulate_points
+from polemap.simulate.points.presets import POSES_IN_CITY
 from polemap.vehicle.packed import unpack
+
+
+def city_drive(seed, **changes):
+    """Odometry, GNSS and poses of a drive through a city; `changes` are the scenario's."""
+    return simulate_points(replace(POSES_IN_CITY, **changes), np.random.default_rng(seed))
+
+
+def odometry_of(drive):
+    stream = drive.drive.odometry
+    return [stream.sample(row) for row in range(len(stream))]
+
+
+def gnss_of(drive):
+    stream = drive.drive.gnss
+    return [stream.sample(row) for row in range(len(stream))]
 
 
 def events_of(drive):
     """(arrival, kind, sample) of odometry and poses."""
-    events = [(o.arrival_s, 0, o) for o in drive.odometry]
+    events = [(o.arrival_s, 0, o) for o in odometry_of(drive)]
     events += [(p.arrival_s, 1, p) for p in drive.poses]
     return sorted(events, key=lambda event: event[:2])
 

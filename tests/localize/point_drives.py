@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,10 +11,26 @@ from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
-from polemap.simulate.point_world import PointDrive, PointScenario
+from polemap.simulate.points.drive import (
+    WHEELBASE_M,
+    PointDrive,
+    PointScenario,
+    simulate_points,
+)
+from polemap.simulate.points.presets import STREWN_CITY, gnss
 from polemap.vehicle.pose import wrap_angle
 
 SHORT = PointScenario(duration_s=25.0)
+
+
+def street_drive(seed: int, duration_s: float = 20.0) -> PointDrive:
+    """With poles and GNSS enough to find the first position easily; with a reader's notes."""
+    scenario = replace(
+        STREWN_CITY, duration_s=duration_s, poles_per_m2=0.02, gnss=gnss(wander_sd_m=0.7)
+    )
+    made = simulate_points(scenario, np.random.default_rng(seed))
+    noted = replace(made.drive, notes=("made of points",), problems={"odometry: bad rows": 2})
+    return replace(made, drive=noted)
 
 
 def play(
@@ -39,7 +56,7 @@ def run(
     start: np.ndarray | None = None,
 ) -> list[PfEstimate]:
     particle_filter = ParticleFilter(
-        drive.pole_map, config or LocalizeConfig(), drive.wheelbase_m, np.random.default_rng(seed)
+        drive.pole_map, config or LocalizeConfig(), WHEELBASE_M, np.random.default_rng(seed)
     )
     if start is not None:
         particle_filter.set_pose(0.0, start, np.diag([0.25, 0.25, 0.003]))
@@ -48,7 +65,7 @@ def run(
 
 def errors(drive: PointDrive, estimates: list[PfEstimate]) -> np.ndarray:
     """`(n, 3)` along, across, yaw."""
-    truth = np.array([drive.truth_at(e.stamp_s) for e in estimates])
+    truth = drive.motion.at(np.array([e.stamp_s for e in estimates]))
     offset = np.array([e.pose for e in estimates]) - truth
     c, s = np.cos(truth[:, 2]), np.sin(truth[:, 2])
     return np.stack(

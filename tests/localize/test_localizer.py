@@ -13,10 +13,9 @@ from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose, Ste
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.simulate.point_drive import PointNoise
-from polemap.simulate.pole_street import pole_street
 from polemap.vehicle.kalman import chi_square_gate
 from polemap.vehicle.pose import Pose2D
+from tests.localize.point_drives import street_drive
 
 CONFIG = LocalizeConfig(particles=300)
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -25,7 +24,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 @pytest.fixture(scope="module")
 def street():
     # enough poles and GNSS that finding the first position is not what is tested here
-    return pole_street(3, duration_s=15.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    return street_drive(3, duration_s=15.0)
 
 
 def inputs(street):
@@ -57,7 +56,7 @@ def run(street, samples, **options):
 def errors(street, answers):
     stamps = np.array([answer.stamp_s for answer in answers])
     poses = np.array([answer.pose[:2] for answer in answers])
-    return stamps, np.hypot(*(poses - street.truth.truth(stamps)[:, :2]).T)
+    return stamps, np.hypot(*(poses - street.motion.at(stamps)[:, :2]).T)
 
 
 def steps(answers):

@@ -10,15 +10,15 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.io import HEALTH_COLUMNS, read_tum, write_run, write_tum
 from polemap.localize.replay import Trajectory, replay
-from polemap.simulate.point_drive import PointNoise
-from polemap.simulate.pole_street import FRAME, pole_street
+from polemap.simulate.points.drive import FRAME
+from tests.localize.point_drives import street_drive
 
 CONFIG = LocalizeConfig(particles=300)
 
 
 @pytest.fixture(scope="module")
 def street():
-    return pole_street(1, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    return street_drive(1)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_the_output_stands_at_every_exact_tick_without_a_gap(run):
 
 def test_it_localizes_and_says_how_well(run, street):
     late = run.kf.stamps_s > 8.0
-    true = street.truth.truth(run.kf.stamps_s[late])[:, :2]
+    true = street.motion.at(run.kf.stamps_s[late])[:, :2]
     error = np.hypot(*(run.kf.poses[late, :2] - true).T)
     assert np.median(error) < 0.15
     metrics = run.metrics
@@ -93,10 +93,11 @@ def test_poles_beat_dead_reckoning(street, run):
 
 def test_timings_come_from_the_clock_that_is_given(street, tmp_path):
     ticking = iter(range(10**9))
+    scans = street.scans[20:30]
     run = replay(
         street.drive,
         street.pole_map,
-        street.scans[:10],
+        scans,
         CONFIG,
         seed=5,
         clock=lambda: next(ticking) * 0.001,
@@ -105,14 +106,14 @@ def test_timings_come_from_the_clock_that_is_given(street, tmp_path):
     assert timing["particle_filter"]["median"] == pytest.approx(1.0)
     assert timing["output_tick"]["calls"] > 100
     assert run.metrics["replay_s"] > 0
-    looked = {"disparity": {scan.stamp_s: 0.02 for scan in street.scans[1:10]}}
+    looked = {"disparity": {scan.stamp_s: 0.02 for scan in scans[1:]}}
     write_run(tmp_path, run, {}, looked)
     header, *rows = (tmp_path / "timing.csv").read_text().splitlines()
     assert header == "stamp_s,disparity_ms,particle_filter_ms,output_pose_ms"
     assert len(rows) == len(run.updates)
     cells = [row.split(",") for row in rows]
     assert [float(row[0]) for row in cells] == sorted(u.estimate.stamp_s for u in run.updates)
-    first = street.scans[0].stamp_s
+    first = scans[0].stamp_s
     assert {row[1] for row in cells if float(row[0]) != first} == {"20.0000"}
     assert {row[1] for row in cells if float(row[0]) == first} <= {""}
     assert {row[2] for row in cells} == {"1.0000"}
@@ -120,7 +121,7 @@ def test_timings_come_from_the_clock_that_is_given(street, tmp_path):
 
 def test_a_map_of_another_frame_is_refused(street):
     other = replace(street.pole_map, frame=EarthFrame("utm", epsg=32633))
-    with pytest.raises(FrameError, match=r"EPSG:32633.*local frame 'street'"):
+    with pytest.raises(FrameError, match=r"EPSG:32633.*local frame 'points'"):
         replay(street.drive, other, street.scans, CONFIG, seed=0)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,18 +10,17 @@ import yaml
 
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import write_map
-from polemap.simulate.point_drive import PointNoise
-from polemap.simulate.pole_street import pole_street
 from polemap.tools import cli
+from tests.localize.point_drives import street_drive
 
 FEW = ["--set", "localize.particles=150"]
 
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    made = pole_street(2, duration_s=8.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    made = street_drive(2, duration_s=8.0)
     folder = tmp_path_factory.mktemp("street")
-    write_drive(replace(made.drive, scans=made.scans), folder / "drive")
+    write_drive(made.drive, folder / "drive")
     write_map(made.pole_map, folder / "map.gpkg")
     return folder / "drive", folder / "map.gpkg"
 

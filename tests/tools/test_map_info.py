@@ -57,7 +57,7 @@ def test_a_map_of_one_drive(place: Path, town: Town, capsys: pytest.CaptureFixtu
     assert "point scale" in said
     assert run(["info", str(place / "monday")]) == 0
     said = capsys.readouterr().out
-    assert "pole scans 600 at 10.0 Hz, no gaps" in said
+    assert "pole scans 599 at 10.0 Hz, no gaps" in said
     assert "lap        half" in said
 
 

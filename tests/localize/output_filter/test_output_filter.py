@@ -10,13 +10,22 @@ from polemap.evaluation.metrics import nees
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.state import FilterState
-from polemap.simulate.point_drive import PointNoise, point_drive
+from polemap.simulate.points.drive import ODOMETRY
+from polemap.simulate.points.motion import WhiteAccelerations
+from polemap.simulate.points.pose_source import PoseSource
 from polemap.vehicle.delay import Placement
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.motion import ctrv_jacobian, ctrv_process_noise, ctrv_step
 from polemap.vehicle.packed import pack, unpack
 from polemap.vehicle.pose import wrap_angle
-from tests.localize.output_events import events_of, give, run, started_with_odometry
+from tests.localize.output_events import (
+    city_drive,
+    events_of,
+    give,
+    odometry_of,
+    run,
+    started_with_odometry,
+)
 
 PLAIN = OutputConfig(gate=False, pose_errors="independent", pose_floor_m=0.0, pose_floor_rad=0.0)
 START = np.diag([0.04, 0.04, 0.01])
@@ -32,7 +41,7 @@ def same(a, b, tolerance):
 @given(st.integers(0, 10_000), st.booleans())
 def test_any_arrival_order_within_the_horizon_gives_the_in_order_result(seed, gated):
     rng = np.random.default_rng(seed)
-    drive = point_drive(rng, duration_s=1.2)
+    drive = city_drive(rng, duration_s=1.2)
     config = PLAIN.model_copy(update={"horizon_s": 10.0, "gate": gated})
     events = [(e[1], e[2]) for e in events_of(drive)]
     if gated:
@@ -127,9 +136,9 @@ def batch_oracle(states, events, config):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_the_filter_equals_batch_least_squares_on_its_linearisation(seed):
-    drive = point_drive(np.random.default_rng(seed), duration_s=0.7)
+    drive = city_drive(seed, duration_s=0.7)
     events = sorted(
-        [(0, o) for o in drive.odometry] + [(1, p) for p in drive.poses],
+        [(0, o) for o in odometry_of(drive)] + [(1, p) for p in drive.poses],
         key=lambda event: (event[1].stamp_s, event[0]),
     )
     first = next(i for i, (kind, _) in enumerate(events) if kind == 1)
@@ -174,12 +183,10 @@ def test_with_matched_noise_the_filter_is_consistent():
     """
     means = []
     for seed in range(20):
-        drive = point_drive(
-            np.random.default_rng(seed), duration_s=12.0, speed_mps=20.0, densities=DENSITIES
-        )
+        drive = city_drive(seed, duration_s=12.0, motion=WhiteAccelerations(20.0, *DENSITIES))
         stamps, states, covariances, _ = run(drive, MATCHED)
         late = stamps > 2.0
-        true = drive.truth(stamps[late])[:, :3]
+        true = drive.motion.at(stamps[late])
         means.append(nees(states[late, :3], true, covariances[late]).mean() / 3.0)
     assert abs(np.mean(means) - 1.0) < 4 * np.std(means, ddof=1) / math.sqrt(20)
     assert 0.8 < np.mean(means) < 1.25
@@ -189,34 +196,34 @@ def test_late_poses_cost_little_and_ignoring_their_delay_costs_much():
     config = PLAIN
     rms = {}
     for name, latency in (("late", 0.11), ("at once", 1e-6)):
-        drive = point_drive(np.random.default_rng(4), duration_s=20.0, latency_s=latency)
+        drive = city_drive(4, duration_s=20.0, pose_source=PoseSource(latency_s=latency))
         stamps, means, _, _ = run(drive, config)
         keep = stamps > 5.0
-        error = means[keep, :2] - drive.truth(stamps[keep])[:, :2]
+        error = means[keep, :2] - drive.motion.at(stamps[keep])[:, :2]
         rms[name] = math.sqrt((error**2).sum(axis=1).mean())
-    drive = point_drive(np.random.default_rng(4), duration_s=20.0)
+    drive = city_drive(4, duration_s=20.0)
     ignored = [
         (a, kind, replace(s, stamp_s=a) if kind == 1 else s) for a, kind, s in events_of(drive)
     ]
     stamps, means, _, _ = run(drive, config, ignored)
     keep = stamps > 5.0
-    error = means[keep, :2] - drive.truth(stamps[keep])[:, :2]
+    error = means[keep, :2] - drive.motion.at(stamps[keep])[:, :2]
     rms["ignored"] = math.sqrt((error**2).sum(axis=1).mean())
     assert rms["late"] < 1.15 * rms["at once"]
     assert rms["ignored"] > 5.0 * rms["late"]
 
 
 def test_what_is_wrong_with_the_odometry_is_found():
-    drive = point_drive(
-        np.random.default_rng(2),
-        duration_s=30.0,
-        noise=PointNoise(speed_scale=0.0, yaw_rate_bias_radps=0.004),
+    config = ODOMETRY.model_copy(update={"speed_scale_sd": 0.0, "yaw_bias_sd_radps": 0.0})
+    drive = city_drive(2, duration_s=30.0, odometry=config)
+    stream = drive.drive.odometry
+    wrong = replace(
+        stream, speed_mps=1.03 * stream.speed_mps, yaw_rate_radps=stream.yaw_rate_radps + 0.004
     )
-    scaled = tuple(replace(o, speed_mps=1.03 * o.speed_mps) for o in drive.odometry)
-    _, _, _, output = run(replace(drive, odometry=scaled), PLAIN)
+    _, _, _, output = run(replace(drive, drive=replace(drive.drive, odometry=wrong)), PLAIN)
     state = output.newest
     covariance = unpack(state.upper)
-    bias = np.mean([o.yaw_rate_radps for o in scaled]) - drive.states[:, 4].mean()
+    bias = np.mean(wrong.yaw_rate_radps) - drive.motion.states[:, 4].mean()
     assert abs(state.mean[5] - 0.03) < 4 * math.sqrt(covariance[5, 5])
     assert abs(state.mean[6] - bias) < 4 * math.sqrt(covariance[6, 6])
     assert abs(abs(bias) - 0.004) < 0.0005

@@ -16,7 +16,8 @@ from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
-from polemap.simulate.point_world import simulate_points
+from polemap.simulate.points.drive import WHEELBASE_M, simulate_points
+from polemap.simulate.points.motion import Slip, WindingRoad
 from tests.localize.point_drives import SHORT, errors, play, run
 
 
@@ -58,7 +59,7 @@ def test_same_seed_same_poses_bit_for_bit() -> None:
 def test_late_scans_are_placed_exactly_and_older_ones_counted() -> None:
     """A scan that arrives 100 or 300 ms late gives the same pose, to the last bit."""
     drive = simulate_points(replace(SHORT, duration_s=6.0), np.random.default_rng(7))
-    start = drive.truth[0]
+    start = drive.motion.at(0.0)[0]
 
     def delayed(delay_s: float) -> list[PfEstimate]:
         samples = [
@@ -109,12 +110,13 @@ def test_the_cloud_learns_how_far_the_car_slips() -> None:
     learned = {}
     for slip in (0.003, 0.009):
         # fast, for large lateral accelerations: half a minute holds few bends
-        scenario = replace(SHORT, speed_mps=14.0, slip_rad_per_mps2=slip, slip_sd_rad_per_mps2=0.0)
+        road = WindingRoad(speed_mps=14.0, slip=Slip(slip, 0.0))
+        scenario = replace(SHORT, motion=road)
         guesses = []
         for seed in range(1, 6):
             drive = simulate_points(scenario, np.random.default_rng(seed))
             particle_filter = ParticleFilter(
-                drive.pole_map, LocalizeConfig(), drive.wheelbase_m, np.random.default_rng(seed)
+                drive.pole_map, LocalizeConfig(), WHEELBASE_M, np.random.default_rng(seed)
             )
             play(particle_filter, drive.samples)
             guesses.append(particle_filter.slip_rad_per_mps2)

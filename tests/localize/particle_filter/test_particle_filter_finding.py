@@ -12,7 +12,9 @@ from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.map.landmark_map import PoleMap
-from polemap.simulate.point_world import simulate_points
+from polemap.simulate.config import DetectorConfig
+from polemap.simulate.points.drive import simulate_points
+from polemap.simulate.points.motion import WindingRoad
 from tests.localize.point_drives import SHORT, errors, found_after, run
 from tests.pole_maps import plain_map, plain_scan
 
@@ -23,7 +25,7 @@ from tests.pole_maps import plain_map, plain_scan
 )
 def test_recovers_from_a_wrong_start(ahead_m: float, turned_rad: float) -> None:
     drive = simulate_points(replace(SHORT, duration_s=14.0), np.random.default_rng(11))
-    start = drive.truth[0] + [ahead_m, 0.5 * ahead_m, turned_rad]
+    start = drive.motion.at(0.0)[0] + [ahead_m, 0.5 * ahead_m, turned_rad]
     estimates = run(drive, 0, start=start)
     assert 0.5 < found_after(drive, estimates, 0.0) < 10.0
     assert "reinitialized" in [e.event for e in estimates]
@@ -31,7 +33,9 @@ def test_recovers_from_a_wrong_start(ahead_m: float, turned_rad: float) -> None:
 
 @pytest.mark.slow
 def test_recovers_after_being_kidnapped_and_says_so() -> None:
-    scenario = replace(SHORT, kidnap_s=10.0, clutter_share=0.3, p_detection=0.6)
+    scenario = replace(
+        SHORT, kidnap_s=10.0, detector=DetectorConfig(clutter_share=0.3, detected_share=0.6)
+    )
     drive = simulate_points(scenario, np.random.default_rng(2))
     estimates = run(drive, 1)
     assert found_after(drive, estimates, 10.0) < 10.0
@@ -47,16 +51,16 @@ def test_recovers_after_being_kidnapped_and_says_so() -> None:
 
 @pytest.mark.slow
 def test_recovers_without_gnss_too() -> None:
-    scenario = replace(SHORT, duration_s=18.0, gnss_outage=(0.0, np.inf))
+    scenario = replace(SHORT, duration_s=18.0, gnss=None)
     drive = simulate_points(scenario, np.random.default_rng(3))
-    estimates = run(drive, 0, start=drive.truth[0] + np.array([30.0, 40.0, np.pi]))
+    estimates = run(drive, 0, start=drive.motion.at(0.0)[0] + np.array([30.0, 40.0, np.pi]))
     assert found_after(drive, estimates, 0.0) < 12.0
     assert [e.event for e in estimates].count("reinitialized") == 1
 
 
 @pytest.mark.slow
 def test_a_standing_car_beside_a_pole_claims_no_place() -> None:
-    scenario = replace(SHORT, standstill_s=8.0, pole_spacing_m=12.0)
+    scenario = replace(SHORT, motion=WindingRoad(standstill_s=8.0), pole_spacing_m=12.0)
     for seed in range(3):
         drive = simulate_points(scenario, np.random.default_rng(seed))
         estimates = run(drive, seed)
@@ -68,7 +72,7 @@ def test_a_standing_car_beside_a_pole_claims_no_place() -> None:
 
 @pytest.mark.slow
 def test_starts_without_gnss_from_the_constellation_alone() -> None:
-    scenario = replace(SHORT, pole_spacing_m=3.0, gnss_outage=(0.0, 1e9))
+    scenario = replace(SHORT, pole_spacing_m=3.0, gnss=None)
     drive = simulate_points(scenario, np.random.default_rng(4))
     estimates = run(drive, 0)
     assert estimates

@@ -172,7 +172,7 @@ def test_works_in_the_streets_are_noticed(town: Town, days: list[DriveObservatio
     moved = rows[in_sight[rows]][:5]
     removed = np.setdiff1d(rows, moved)[:10]
     added = free_places(town, rng, 10)
-    now = town.change(removed, added, {int(row): np.array([0.0, 2.0]) for row in moved})
+    now = town.changed(removed, added, {int(row): np.array([0.0, 2.0]) for row in moved})
     before = assemble_map(days[:2], CONFIG, FRAME).pole_map
     after = before
     for day in (4, 5):

@@ -105,7 +105,8 @@ def test_an_old_map_stays_where_it_is(days: list[DriveObservations]) -> None:
     assert drifts is not None
     assert np.median(drifts[0].sd_m) < 0.1
     north = drifts[0].at(np.linspace(part.first_s.min(), part.last_s.max(), 50))
-    np.testing.assert_allclose(np.median(north, axis=0), [1.0, 0.0], atol=0.1)
+    # the drift's own sd, twice, for each axis
+    np.testing.assert_allclose(np.median(north, axis=0), [1.0, 0.0], atol=0.2)
 
 
 def test_without_pairs_the_sd_is_that_of_the_settings() -> None:

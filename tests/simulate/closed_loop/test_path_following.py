@@ -13,7 +13,6 @@ from polemap.simulate.closed_loop.path_following import (
 )
 from polemap.simulate.closed_loop.path_study import path_study
 from polemap.simulate.closed_loop.road import winding_road
-from polemap.simulate.point_world import PointScenario
 from polemap.vehicle.io import load_car
 
 PASSAT = load_car("passat")
@@ -38,12 +37,12 @@ def test_a_swing_that_dies_out_is_no_oscillation() -> None:
 
 
 def test_the_road_winds_within_its_limit_and_has_poles_beside_it() -> None:
-    road = winding_road(400.0, 0.01, PointScenario(), np.random.default_rng(3))
+    road = winding_road(400.0, 0.01, np.random.default_rng(3))
     station = np.linspace(5.0, 395.0, 500)
     bends = np.abs(road.path.curvature_radpm(station))
     assert 0.005 < bends.max() <= 0.0102
     assert len(road.pole_map) > 50
-    away = np.abs([road.path.locate(x, y, 0.0).lateral_m for x, y in road.poles_m])
+    away = np.abs([road.path.locate(x, y, 0.0).lateral_m for x, y in road.poles.points_m])
     assert away.min() > 2.0
 
 
