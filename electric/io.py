@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.electric.signals import INPUT_COLUMNS, REFERENCE_COLUMNS, SignalLog
+from polemap.errors import PolemapError
+from polemap.extras import need
 from polemap.vehicle.errors import VehicleError
 
 Floats = NDArray[np.float64]
@@ -76,11 +78,12 @@ def _read_table(path: Path) -> pd.DataFrame:
         raise InputError(f"{path}: no such file")
     try:
         if path.suffix == ".parquet":
+            need("pyarrow")
             return pd.read_parquet(path)
         if path.suffix == ".mcap":
             return _read_mcap(path)
         return pd.read_csv(path, skipinitialspace=True)
-    except InputError:
+    except PolemapError:
         raise
     except Exception as error:  # pandas and pyarrow raise whatever they meet
         raise InputError(f"{path}: cannot be read as a signal log ({error})") from error
@@ -91,11 +94,9 @@ def _read_mcap(path: Path) -> pd.DataFrame:
 
     Fields of known names keep them. The stamp is the message's own `stamp_s`, else its log time.
     """
-    from mcap.reader import make_reader
-
     rows = []
     with path.open("rb") as stream:
-        for _schema, channel, message in make_reader(stream).iter_messages():
+        for _schema, channel, message in need("mcap.reader").make_reader(stream).iter_messages():
             if channel.message_encoding != "json":
                 continue
             content = json.loads(message.data)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import importlib
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import ConfigError
+from polemap.extras import MissingExtraError, need
 from polemap.simulate.mesh import Mesh
 
 Floats32 = NDArray[np.float32]
@@ -25,10 +25,13 @@ def open3d() -> Any:
     it; the copy inside the package `libusb-package` serves then.
 
     Raises:
-        ConfigError: open3d is not installed or cannot be loaded.
+        MissingExtraError: open3d is not installed.
+        ConfigError: it cannot be loaded.
     """
     try:
-        return importlib.import_module("open3d")
+        return need("open3d")
+    except MissingExtraError:
+        raise
     except ImportError as error:
         if "libusb" not in str(error):
             raise ConfigError(
@@ -41,7 +44,7 @@ def open3d() -> Any:
             raise ImportError("libusb-package is not installed")
         library = Path(package.origin).parent / "libusb-1.0.so"
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
-        return importlib.import_module("open3d")
+        return need("open3d")
     except (ImportError, OSError) as error:
         raise ConfigError(
             f"open3d does not load ({first}): install the system library libusb-1.0-0, "

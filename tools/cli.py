@@ -14,6 +14,7 @@ from typer import TyperException
 
 from polemap import __version__
 from polemap.errors import PolemapError
+from polemap.extras import missing_extra
 
 # verb: (module with its function `command`, what it does)
 VERBS = {
@@ -87,6 +88,11 @@ def run(arguments: Sequence[str]) -> int:
         return _complain(error.format_message() or "--help lists the verbs")
     except PolemapError as error:
         return _complain(str(error))
+    except ModuleNotFoundError as error:
+        missing = missing_extra(error)
+        if missing is None:
+            raise
+        return _complain(str(missing))
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted; nothing half-written stays under a final name")
         return INTERRUPTED

@@ -7,19 +7,22 @@ import sys
 from itertools import cycle
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
-from matplotlib.figure import Figure
 
 from polemap.drivelog.atomic import atomic_file, atomic_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.electric.studies.papers import STUDIES
 from polemap.electric.studies.study import Study
+from polemap.extras import need
 from polemap.simulate.closed_loop.registry import LOOP_STUDIES
 from polemap.tools.progress import progress
 from polemap.vehicle.io import load_car
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _TABLE = "{:<62} {:>24} {:>20}  {}"
 _STYLES = ("k-", "C0-", "C1-", "C2-", "C3-", "C4-", "C5-", "C6-", "C7--", "C8--", "C9--")
@@ -66,6 +69,8 @@ def command(
     chosen = list(known.values()) if wanted == "all" else [known[wanted]]
     if estimator and chosen[0] not in LOOP_STUDIES:
         raise ConfigError(f"--estimator: {name} is no closed loop, it compares all estimators")
+    if out is not None:
+        need("matplotlib")
     results = []
     for each in chosen:
         result, count = _run(each, vehicle, seeds, tuple(estimator or ()))
@@ -113,7 +118,9 @@ def write_study(study: Study, folder: Path) -> None:
 
 def _panels(study: Study) -> Figure:
     """The study's own panels, one above the other."""
-    figure = Figure(figsize=(10, 3.1 * len(study.panels)), layout="constrained")
+    figure: Figure = need("matplotlib.figure").Figure(
+        figsize=(10, 3.1 * len(study.panels)), layout="constrained"
+    )
     # a curve keeps its style from panel to panel
     labels = dict.fromkeys(curve.label for panel in study.panels for curve in panel.curves)
     styles = dict(zip(labels, cycle(_STYLES), strict=False))
@@ -135,7 +142,7 @@ def _panels(study: Study) -> Figure:
 
 def _side_slips(study: Study) -> Figure:
     """Side-slip over time, and what the estimates miss."""
-    figure = Figure(figsize=(10, 6.5), layout="constrained")
+    figure: Figure = need("matplotlib.figure").Figure(figsize=(10, 6.5), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     truth = study.curves[0]
     for curve, style in zip(study.curves, _STYLES, strict=False):

@@ -16,8 +16,6 @@ from typing import Any
 
 import geopandas
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet
 import pyogrio
 import shapely
 
@@ -25,7 +23,8 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.tables import read_table
-from polemap.map.formats import geojson, geoparquet, opendrive, osm, qgis
+from polemap.extras import need
+from polemap.map.formats import geojson, opendrive, osm, qgis
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.landmark_map import PoleMap
 
@@ -38,10 +37,13 @@ def check_writable(path: Path) -> None:
 
     Raises:
         InputError: the ending is none of ours.
+        MissingExtraError: the format needs a package that is not installed.
     """
     if Path(path).suffix.lower() not in _WRITERS:
         known = ", ".join(sorted(_WRITERS))
         raise InputError(f"{path}: a map is written as one of {known}; choose such an ending")
+    if Path(path).suffix.lower() == ".parquet":
+        need("pyarrow")
 
 
 def export_map(pole_map: PoleMap, path: Path) -> None:
@@ -199,15 +201,21 @@ def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
 
 
 def _write_parquet(pole_map: PoleMap, path: Path) -> None:
+    pa, parquet = need("pyarrow"), need("pyarrow.parquet")
+    from polemap.map.formats import geoparquet  # needs pyarrow, too
+
     table = geoparquet.to_table(pole_map)
     texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
     # dictionaries of numbers that are all different only cost time, as does a strong compression
-    pyarrow.parquet.write_table(table, path, compression="snappy", use_dictionary=texts)
+    parquet.write_table(table, path, compression="snappy", use_dictionary=texts)
 
 
 def _read_parquet(path: Path, frame: EarthFrame | None) -> PoleMap:
+    pa, parquet = need("pyarrow"), need("pyarrow.parquet")
+    from polemap.map.formats import geoparquet  # needs pyarrow, too
+
     try:
-        table = pyarrow.parquet.read_table(path)
+        table = parquet.read_table(path)
     except (pa.ArrowException, OSError) as error:
         detail = str(error).splitlines()[0][:100]
         raise InputError(f"{path}: not a Parquet file ({detail})") from error

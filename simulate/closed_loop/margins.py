@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from polemap.electric.control.body_slip import PiGains
 from polemap.electric.estimators.base import CAMERA, YAW_RATE, Inputs
+from polemap.extras import need
 from polemap.simulate.closed_loop.choice import CAMERA_NOISE, fresh
 from polemap.vehicle.discretize import zero_order_hold
 from polemap.vehicle.errors import VehicleError
@@ -40,8 +41,7 @@ def loop_margins(
     lag. A Kalman filter that hears every command changes nothing here: what it adds to the loop
     cancels (separation).
     """
-    # a dependency that brings a plotting library: imported where it is needed
-    import control
+    control = need("control")
 
     a, b = lateral(car, speed_mps)
     if lag_s > 0.0:

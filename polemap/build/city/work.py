@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from polemap.build.city.tiles import Run
 from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.errors import ConfigError, PolemapError
 from polemap.drivelog.frames import EarthFrame
+from polemap.extras import need
 
 _RETRIES = 2
 
@@ -125,7 +125,7 @@ def _run(
 
 def _distributed() -> Any:
     """Dask takes a second to import, which single-process runs need not wait for."""
-    return import_module("dask.distributed")
+    return need("dask.distributed")
 
 
 def on_workers(client: Any, done: Callable[[int], None] | None = None) -> Run:

@@ -7,7 +7,6 @@ PBF keeps positions to 1e-7 degrees, a centimetre.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from importlib import import_module
 from typing import Any
 from xml.etree import ElementTree
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.extras import need
 from polemap.map.formats.geojson import from_inventory
 from polemap.map.landmark_map import PoleMap
 
@@ -73,7 +73,7 @@ def write_pbf(pole_map: PoleMap, path: str) -> None:
     Raises:
         FrameError: the map is in a local frame.
     """
-    osmium = import_module("osmium")
+    osmium = need("osmium")
     place = _places(pole_map)
     header = osmium.io.Header()
     header.set("generator", "polemap")
@@ -97,7 +97,7 @@ def read_pbf(path: str, frame: EarthFrame | None) -> PoleMap:
     Raises:
         InputError: no PBF, or no such node in it.
     """
-    osmium = import_module("osmium")
+    osmium = need("osmium")
     wanted = [(key, value) for key, values in POLES.items() for value in sorted(values)]
     nodes = []
     try:

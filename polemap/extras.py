@@ -1,0 +1,52 @@
+"""Packages that only some work needs: what installs them is said where one is missing."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from polemap.errors import PolemapError
+
+# module: extra of pyproject.toml that brings it
+EXTRA_OF = {
+    "open3d": "simulate",
+    "libusb_package": "simulate",
+    "control": "simulate",
+    "matplotlib": "report",
+    "jinja2": "report",
+    "dask": "city",
+    "distributed": "city",
+    "osmium": "gis",
+    "pyarrow": "gis",
+    "mcap": "bags",
+}
+
+
+class MissingExtraError(PolemapError, ImportError):
+    """A package that this work needs and that no base install has; the message installs it."""
+
+
+def need(module: str) -> Any:
+    """A module of an extra.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        missing = missing_extra(error)
+        if missing is None:
+            raise
+        raise missing from error
+
+
+def missing_extra(error: ModuleNotFoundError) -> MissingExtraError | None:
+    """What to say of a module that was not found; None if no extra would bring it."""
+    top = (error.name or "").partition(".")[0]
+    extra = EXTRA_OF.get(top)
+    if extra is None:
+        return None
+    return MissingExtraError(
+        f"this needs {top}, which is not installed: pip install 'polemap[{extra}]'"
+    )
