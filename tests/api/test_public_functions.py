@@ -14,18 +14,18 @@ from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.landmark_map import PoleMap
-from polemap.simulate.pole_street import PointNoise, pole_street
 from polemap.stereo.errors import StereoError
 from polemap.stereo.rig import StereoRig
 from polemap.tools import cli
+from tests.localize.point_drives import street_drive
 
 FEW = polemap.Settings(localize={"particles": 150})
 
 
 @pytest.fixture(scope="module")
 def street() -> tuple[Drive, PoleMap]:
-    made = pole_street(2, duration_s=8.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
-    return replace(made.drive, scans=made.scans), made.pole_map
+    made = street_drive(2, duration_s=8.0)
+    return made.drive, made.pole_map
 
 
 @pytest.fixture(scope="module")
