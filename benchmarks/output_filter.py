@@ -18,6 +18,7 @@ from polemap.evaluation.metrics import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.filter import OutputFilter
+from polemap.localize.output_filter.noise_model import NoiseModel
 from polemap.localize.replay import replay
 from polemap.simulate.config import DetectorConfig
 from polemap.simulate.points.drive import PointDrive, simulate_points
@@ -28,6 +29,7 @@ from polemap.vehicle.packed import unpack
 
 Floats = NDArray[np.float64]
 Event = tuple[float, int, Any]
+CAR = NoiseModel()
 
 
 def run() -> dict[str, dict[str, float]]:
@@ -42,7 +44,7 @@ def run() -> dict[str, dict[str, float]]:
             while tick / 100 < arrival:
                 if output.started:
                     begin = time.perf_counter()
-                    output.at(tick / 100)
+                    output.predicted_to(tick / 100)
                     ticks.append(time.perf_counter() - begin)
                 tick += 1
             begin = time.perf_counter()
@@ -88,16 +90,14 @@ def latency(seeds: int = 20) -> dict[str, dict[str, float]]:
 
 def matched(seeds: int = 50) -> dict[str, dict[str, float]]:
     """NEES per degree of freedom where the filter's noise is the drive's: 22 Hz, 110 ms late."""
-    config = OutputConfig(
-        pose_errors="independent", pose_floor_m=0.0, pose_floor_rad=0.0, acceleration_mps2=1.0,
+    config = OutputConfig(pose_errors="independent", yaw_rate_sd_radps=0.002)
+    noise = NoiseModel(
+        pose_floor_m=0.0, pose_floor_rad=0.0, acceleration_mps2=1.0,
         yaw_acceleration_radps2=0.1, slip_rad_per_mps2=0.0, speed_error_share=0.0,
         yaw_rate_error_radps=0.0, speed_scale_sd=0.01, speed_scale_walk=0.0,
-        yaw_rate_offset_sd_radps=0.001, yaw_rate_offset_walk_radps=0.0, yaw_rate_sd_radps=0.002,
+        yaw_rate_offset_sd_radps=0.001, yaw_rate_offset_walk_radps=0.0,
     )  # fmt: skip
-    densities = (
-        2.0 * config.acceleration_mps2**2 * config.acceleration_time_s,
-        2.0 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s,
-    )
+    densities = noise.densities[:2]
     rows: dict[str, list[float]] = {"ctrv": [], "city": []}
     for seed in range(seeds):
         for name, motion in (
@@ -105,7 +105,7 @@ def matched(seeds: int = 50) -> dict[str, dict[str, float]]:
             ("city", CityTraffic(15.0)),
         ):
             drive = city_drive(seed, duration_s=15.0, motion=motion)
-            _, values = _track(drive, events_of(drive), config, after_s=3.0)
+            _, values = _track(drive, events_of(drive), config, after_s=3.0, noise=noise)
             rows[name].append(float(values.mean() / 3))
     return {
         name: {"mean": float(np.mean(values)), "sd": float(np.std(values, ddof=1))}
@@ -192,23 +192,28 @@ def events_of(drive: PointDrive) -> list[Event]:
 
 def _give(output: OutputFilter, kind: int, sample: Any) -> None:
     if kind == 0:
-        output.odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
+        output.add_odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
     else:
-        output.pose(sample.stamp_s, sample.pose, sample.covariance)
+        output.add_pose(sample.stamp_s, sample.pose, sample.covariance)
 
 
 def _track(
-    drive: PointDrive, events: list[Event], config: OutputConfig, *, after_s: float = 5.0
+    drive: PointDrive,
+    events: list[Event],
+    config: OutputConfig,
+    *,
+    after_s: float = 5.0,
+    noise: NoiseModel = CAR,
 ) -> tuple[Floats, Floats]:
     """Errors and NEES at 100 Hz."""
-    output, tick = OutputFilter(config), 0
+    output, tick = OutputFilter(config, noise=noise), 0
     stamps, means, covariances = [], [], []
     for arrival, kind, sample in events:
         while tick / 100 < arrival:
             stamp = tick / 100
             tick += 1
             if output.started and stamp > after_s:
-                state = output.at(stamp)
+                state = output.predicted_to(stamp)
                 stamps.append(stamp)
                 means.append(state.mean[:3])
                 covariances.append(unpack(state.upper)[:3, :3])

@@ -83,12 +83,12 @@ def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], 
     if case.start_offset is not None:
         start = drive.motion.at(0.0)[0] + np.array(case.start_offset)
         particle_filter.set_pose(0.0, start, np.diag([0.25, 0.25, 0.003]))
-    antenna, estimates = np.zeros(2), []
+    estimates = []
     for sample in drive.samples:
         if isinstance(sample, OdometrySample):
             particle_filter.predict(sample)
         elif isinstance(sample, GnssFix):
-            particle_filter.gnss(sample, antenna)
+            particle_filter.add_fix(sample)
         elif isinstance(sample, PoleScan):
             estimate = particle_filter.update(sample)
             if estimate is not None:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import OdometrySample
-from polemap.localize.config import LocalizeConfig
-from polemap.localize.odometry_history import OdometryHistory
+from polemap.localize.config import OdometryConfig
+from polemap.localize.odometry_history import GAP_S, OdometryHistory
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -26,6 +26,11 @@ _STRETCH_LONGEST_S = 15.0
 _STRETCH_TURN_RAD = 0.8
 _YAW_SPREAD_RADPS = 0.02
 _GYRO_WHITE_RADPS = 0.005
+# what is known of any car before it has driven: a steering offset of 0.25 degrees at a wheelbase of
+# 2.7 m, a gyroscope good to 3 %
+_CURVATURE_SD_RADPM, _YAW_RATE_SCALE_SD = 0.0015, 0.03
+# wheel encoders of a standing car show nothing; a stop counts from its second second on
+_STANDSTILL_MPS, _STANDSTILL_S = 0.03, 1.0
 _WALK_PER_S = 1e-7  # share of the prior variances that returns every second: offsets may drift
 
 
@@ -62,7 +67,7 @@ class _Start:
     pose: Floats
     variance_m2: float
     variance_rad2: float
-    reckoned: Floats
+    odometry_pose: Floats
     travelled_m: float
 
 
@@ -84,15 +89,15 @@ class _Stretch:
 class OdometryCalibration:
     """Two small Kalman filters: (offset, curvature, scale) of the yaw rate, scale of the speed."""
 
-    def __init__(self, config: LocalizeConfig) -> None:
+    def __init__(self, config: OdometryConfig) -> None:
         self._config = config
         self._yaw = np.zeros(3)
         self._yaw_prior = np.diag(
             np.array(
                 [
                     config.yaw_rate_offset_sd_radps,
-                    config.curvature_offset_sd_radpm,
-                    config.yaw_rate_scale_sd,
+                    _CURVATURE_SD_RADPM,
+                    _YAW_RATE_SCALE_SD,
                 ]
             )
             ** 2
@@ -101,7 +106,7 @@ class OdometryCalibration:
         self._scale: float = 0.0
         self._scale_var = config.speed_scale_sd**2
         self._still: deque[OdometrySample] = deque()
-        self._raw = OdometryHistory(config.odometry_gap_s)
+        self._raw = OdometryHistory()
         self._start: _Start | None = None
 
     @property
@@ -119,23 +124,22 @@ class OdometryCalibration:
         if self._standing():
             # no turn without motion; what is left of the offset must not turn a standing car
             speed = yaw_rate = 0.0
-        if len(self._raw) and sample.stamp_s - self._raw.newest_s > self._config.odometry_gap_s:
+        if len(self._raw) and sample.stamp_s - self._raw.newest_s > GAP_S:
             self._start = None
-        self._raw.push(sample)
+        self._raw.append(sample)
         return OdometrySample(sample.stamp_s, sample.arrival_s, speed, yaw_rate)
 
     def _watch_standstill(self, sample: OdometrySample) -> None:
         """Keep the unbroken run of samples without speed, at most one window long."""
-        config = self._config
-        if abs(sample.speed_mps) > config.standstill_speed_mps:
+        if abs(sample.speed_mps) > _STANDSTILL_MPS:
             self._still.clear()
             return
         self._still.append(sample)
         span = sample.stamp_s - self._still[0].stamp_s
-        if span < 2.0 * config.standstill_s:
+        if span < 2.0 * _STANDSTILL_S:
             return
         # the first half may still hold the nodding of the stop: the second half counts, once
-        half = self._still[0].stamp_s + config.standstill_s
+        half = self._still[0].stamp_s + _STANDSTILL_S
         rates = np.array([s.yaw_rate_radps for s in self._still if s.stamp_s > half])
         self._still.clear()
         self._still.append(sample)
@@ -158,7 +162,9 @@ class OdometryCalibration:
         keep = np.eye(3) - np.outer(gain, row)
         self._yaw_cov = keep @ self._yaw_cov @ keep.T + np.outer(gain, gain) * variance
 
-    def learn(self, stamp_s: float, pose: Floats, covariance: Floats, trusted: bool) -> None:
+    def learn_from_pose(
+        self, stamp_s: float, pose: Floats, covariance: Floats, trusted: bool
+    ) -> None:
         """Offer a rear-axle pose of the filter; a stretch ends at it when it is long enough.
 
         Args:
@@ -176,7 +182,7 @@ class OdometryCalibration:
             float(covariance[2, 2]) + 0.004**2,
             # of the pose's own moment: odometry of the scan's delay is there already, and a car
             # that changes its speed drives another way in the delay of either end
-            self._raw.dead_reckoning(stamp_s),
+            self._raw.odometry_pose(stamp_s),
             self._raw.travelled_m(stamp_s),
         )
         start = self._start
@@ -189,7 +195,7 @@ class OdometryCalibration:
         self._start = end
 
     def _use(self, start: _Start, end: _Start) -> None:
-        stretch = _between(start, end)
+        stretch = _stretch_between(start, end)
         self._yaw_cov = self._yaw_cov + self._yaw_prior * _WALK_PER_S * stretch.time_s
         self._scale_var += self._config.speed_scale_sd**2 * _WALK_PER_S * stretch.time_s
         turned = float(wrap_angle(end.pose[2] - start.pose[2]))
@@ -216,9 +222,9 @@ class OdometryCalibration:
             self._scale_var *= float(1.0 - gain * chord_m)
 
 
-def _between(start: _Start, end: _Start) -> _Stretch:
-    moved = end.reckoned - start.reckoned
-    ahead = float(moved[:2] @ (np.cos(start.reckoned[2]), np.sin(start.reckoned[2])))
+def _stretch_between(start: _Start, end: _Start) -> _Stretch:
+    moved = end.odometry_pose - start.odometry_pose
+    ahead = float(moved[:2] @ (np.cos(start.odometry_pose[2]), np.sin(start.odometry_pose[2])))
     return _Stretch(
         end.stamp_s - start.stamp_s,
         float(np.copysign(end.travelled_m - start.travelled_m, ahead)),

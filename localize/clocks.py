@@ -11,8 +11,14 @@ from __future__ import annotations
 from collections import Counter
 from math import isfinite
 
-from polemap.localize.output_filter.config import OutputConfig
-
+FUTURE_S = 0.05
+"""A stamp may lie this far behind its arrival: clocks of one car, synchronised by software."""
+STEP_SAMPLES = 5
+"""Samples in a row that must agree on a step: 0.1 s of odometry."""
+# a smaller step is a delay like any other
+_STEP_S = 0.5
+# a sensor silent for longer has stopped
+_SILENCE_S = 0.5
 # samples that agree on a step do so to this
 _AGREE_S = 0.05
 # the typical delay follows short delays at once and long ones slowly
@@ -26,8 +32,7 @@ class StreamClock:
     step is being made sure of), clock_steps, silences.
     """
 
-    def __init__(self, config: OutputConfig) -> None:
-        self._config = config
+    def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.silent_s = 0.0
         self._correction_s = 0.0
@@ -37,7 +42,7 @@ class StreamClock:
         self._last_arrival_s: float | None = None
         self._suspects: list[float] = []
 
-    def check(self, stamp_s: float, arrival_s: float) -> float | None:
+    def checked_stamp(self, stamp_s: float, arrival_s: float) -> float | None:
         """The stamp to use, or None if the sample must be dropped (and has been counted)."""
         if not (isfinite(stamp_s) and isfinite(arrival_s)):
             self.counts["not_finite"] += 1
@@ -62,16 +67,16 @@ class StreamClock:
         return stamp
 
     def _problem(self, stamp: float, delay: float) -> str | None:
-        if delay < -self._config.future_s:
+        if delay < -FUTURE_S:
             return "future"
-        step = self._config.clock_step_s
+        step = _STEP_S
         typical = self._delay_s
         if typical is not None and stamp < self._newest_s - step and delay > typical + step:
             return "clock_backwards"
         return None
 
     def _step_is_sure(self) -> bool:
-        needed = self._config.clock_step_samples
+        needed = STEP_SAMPLES
         last = self._suspects[-needed:]
         return len(last) == needed and max(last) - min(last) < _AGREE_S
 
@@ -92,7 +97,7 @@ class StreamClock:
         gap = arrival_s - last
         if self._period_s is None:
             self._period_s = gap
-        limit = max(self._config.silence_s, 3.0 * self._period_s)
+        limit = max(_SILENCE_S, 3.0 * self._period_s)
         if gap > limit:
             self.counts["silences"] += 1
             self.silent_s += gap

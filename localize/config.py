@@ -1,4 +1,7 @@
-"""Settings of the localizer."""
+"""Settings of the localizer: the paper's parameters by their names, and groups for the rest.
+
+What no user should turn stands as a named constant beside the code that uses it.
+"""
 
 from __future__ import annotations
 
@@ -9,117 +12,191 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from polemap.localize.output_filter.config import OutputConfig
 
+_FROZEN = ConfigDict(frozen=True, extra="forbid")
+
+
+class KldConfig(BaseModel):
+    """KLD sampling: a number of particles that follows how far they spread (Fox 2003)."""
+
+    model_config = _FROZEN
+
+    adaptive: bool = Field(False, description="Choose the number of particles after every scan.")
+    particles_min: int = Field(50, ge=10, le=100_000, description="Fewest particles.")
+    particles_max: int = Field(2000, ge=10, le=100_000, description="Most particles.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> KldConfig:
+        if self.particles_min > self.particles_max:
+            raise ValueError(
+                f"particles_min {self.particles_min} is above particles_max {self.particles_max}"
+            )
+        return self
+
+
+class OdometryConfig(BaseModel):
+    """What the odometry gets wrong, and whether that is learned on the way."""
+
+    model_config = _FROZEN
+
+    learn_offsets: bool = Field(
+        True, description="Learn the offsets and scales of speed and yaw rate from the poles."
+    )
+    learn_noise: bool = Field(
+        True, description="Scale the motion noise to what the poles' corrections show."
+    )
+    noise_scale_start: float = Field(
+        0.8,
+        gt=0.0,
+        le=4.0,
+        description="Factor on the standard deviations that the alphas give, before it is learned.",
+    )
+    yaw_rate_offset_sd_radps: float = Field(
+        0.005, ge=0.0, le=0.1, description="Offset of the yaw rate before it is learned, sd, rad/s."
+    )
+    speed_scale_sd: float = Field(
+        0.02, ge=0.0, le=0.5, description="Relative error of the speed before it is learned, sd."
+    )
+    slip_rad_per_mps2: float = Field(
+        0.006,
+        ge=0.0,
+        le=0.05,
+        description="Outward slip of the rear axle per lateral acceleration, m l_f / (l C_r), "
+        "rad per m/s^2: by vehicle/cars 0.0052 for a RAV4, 0.0057 for the identified 250 LM, "
+        "0.0076 for a Passat.",
+    )
+
+
+class PolesConfig(BaseModel):
+    """How seen poles relate to those of the map, beyond the paper's parameters."""
+
+    model_config = _FROZEN
+
+    width_sd_m: float = Field(
+        0.15, gt=0.0, le=5.0, description="Seen width less mapped width, standard deviation, m."
+    )
+    position_floor_m: float = Field(
+        0.03,
+        ge=0.0,
+        le=2.0,
+        description="Standard deviation added to every seen position, m: calibration, and trunks "
+        "that are no lines.",
+    )
+    correlation_m: float = Field(
+        2.0, gt=0.0, le=100.0, description="Way over which errors of seen poles stay alike, m."
+    )
+    correlation_s: float = Field(
+        1.0, gt=0.0, le=100.0, description="Time over which errors of seen poles stay alike, s."
+    )
+    view_range_m: float = Field(
+        25.0, gt=0.0, le=500.0, description="Range of a sensor that does not say where it looks, m."
+    )
+    view_half_angle_rad: float = Field(
+        pi / 3, gt=0.0, le=pi, description="Half the opening angle of such a sensor, rad."
+    )
+
+
+class GnssConfig(BaseModel):
+    """The receiver, for both filters."""
+
+    model_config = _FROZEN
+
+    sd_m: float = Field(
+        2.5,
+        gt=0.0,
+        le=1000.0,
+        description="Standard deviation of a fix at HDOP 1, an axis, m.",
+    )
+    correlation_s: float = Field(
+        60.0, ge=0.0, le=3600.0, description="Time over which the receiver's error wanders, s."
+    )
+    outlier_share: float = Field(
+        0.1, gt=0.0, lt=1.0, description="Share of fixes that may be wrong altogether."
+    )
+
+
+class RecoveryConfig(BaseModel):
+    """When the filter looks elsewhere or starts anew."""
+
+    model_config = _FROZEN
+
+    explore_share_max: float = Field(
+        0.2, ge=0.0, le=0.9, description="Largest share of the particles that is drawn anew."
+    )
+    constellation_min_poles: int = Field(
+        3, ge=2, le=20, description="Poles that must fit together to prove a place."
+    )
+    lost_sd_m: float = Field(
+        15.0, gt=0.0, le=1000.0, description="A particle set wider than this starts anew, m (S16)."
+    )
+    lost_match_share: float = Field(
+        0.34, ge=0.0, le=1.0, description="Least share of the possible poles that must fit."
+    )
+    lost_after_s: float = Field(
+        3.0, gt=0.0, le=600.0, description="How long too few poles, or no fix, may fit, s."
+    )
+
+
+class HealthConfig(BaseModel):
+    """When a pose may be used."""
+
+    model_config = _FROZEN
+
+    sd_max_m: float = Field(
+        2.0, gt=0.0, le=100.0, description="Largest major position sd of a healthy pose, m."
+    )
+
 
 class LocalizeConfig(BaseModel):
-    """Every setting of the particle filter; the names of the paper where it has one.
+    """Every setting of the localizer; the names of the paper where it has one.
 
     The noise figures `alpha1 ... alpha4` are standard deviations for one odometry step of 20 ms,
     the paper's 50 Hz; for other steps they are scaled so that the spread per second stays.
+
+    Source: Spangenberg (2016), section IV.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = _FROZEN
 
+    particles: int = Field(1000, ge=10, le=100_000, description="Number of particles.")
+    threads: int = Field(1, ge=1, le=64, description="Threads that weigh the particles.")
+    p_detection: float = Field(
+        0.7, gt=0.0, lt=1.0, description="Chance that a map pole in view is detected."
+    )
+    beta_p: float = Field(
+        1.0, gt=0.0, le=100.0, description="Weight of the position term, equation (7)."
+    )
+    clutter_per_m2: float = Field(
+        1e-3, gt=0.0, le=10.0, description="False poles per square metre of ground."
+    )
+    alpha1_speed_mps: float = Field(
+        0.2, ge=0.0, le=20.0, description="Noise of the speed, sd, m/s in a step of 20 ms."
+    )
+    alpha1_relative: float = Field(
+        0.07, ge=0.0, le=2.0, description="Noise of the speed in proportion to it, sd."
+    )
+    alpha2_yaw_rate_radps: float = Field(
+        0.03, ge=0.0, le=5.0, description="Noise of the yaw rate, sd, rad/s in a step of 20 ms."
+    )
+    alpha3_rotation_s: float = Field(
+        0.01, ge=0.0, le=5.0, description="Additional turn in proportion to the yaw rate, sd, s."
+    )
+    alpha4_rotation_rad: float = Field(
+        0.003, ge=0.0, le=1.0, description="Largest additional turn of a step, sd, rad."
+    )
+    alpha5_slip_m_per_sqrt_m: float = Field(
+        0.015,
+        ge=0.0,
+        le=1.0,
+        description="Drift aside of the heading, sd, m per square root of a metre driven; not in "
+        "the paper.",
+    )
+    estimate: Literal["mean", "best_mode"] = Field(
+        "best_mode", description="The pose: mean of all particles, or of their heaviest mode."
+    )
+    kld: KldConfig = KldConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    poles: PolesConfig = PolesConfig()
+    gnss: GnssConfig = GnssConfig()
+    recovery: RecoveryConfig = RecoveryConfig()
+    health: HealthConfig = HealthConfig()
     output: OutputConfig = OutputConfig()
-
-    # particles
-    particles: int = Field(1000, ge=10, le=100_000)
-    threads: int = Field(1, ge=1, le=64)
-    kld_adaptive: bool = False
-    kld_particles_min: int = Field(50, ge=10)
-    kld_particles_max: int = Field(2000, ge=10)
-    kld_error: float = Field(0.05, gt=0, lt=1)
-    kld_quantile: float = Field(2.33, gt=0, lt=6)
-    kld_bin_m: float = Field(0.25, gt=0)
-    kld_bin_rad: float = Field(0.05, gt=0)
-    resample_below: float = Field(0.5, gt=0, le=1)
-
-    # motion noise
-    alpha1_speed_mps: float = Field(0.2, ge=0)
-    alpha1_relative: float = Field(0.07, ge=0)
-    alpha2_yaw_rate_radps: float = Field(0.03, ge=0)
-    alpha3_rotation_s: float = Field(0.01, ge=0)
-    alpha4_rotation_rad: float = Field(0.003, ge=0)
-    alpha5_slip_m_per_sqrt_m: float = Field(0.015, ge=0)
-    learn_noise: bool = True
-    # factors on the standard deviations that the alphas give, see noise_scale.py
-    noise_scale_start: float = Field(0.8, gt=0)
-    noise_prior_windows: float = Field(2.0, gt=0)  # the start counts as if seen in so many windows
-    noise_memory_windows: float = Field(30.0, gt=1)  # after so many, a window counts a third
-    noise_window: float = Field(8.0, gt=0)  # length in independent scans, not in scans or seconds
-    noise_scale_min: float = Field(0.2, gt=0, le=1)
-    noise_scale_max: float = Field(4.0, ge=1)
-    arc_s: float = Field(0.06, gt=0, le=1)
-    odometry_gap_s: float = Field(0.5, gt=0)
-    gap_speed_mps: float = Field(2.0, ge=0)
-
-    # odometry calibration
-    learn_offsets: bool = True
-    standstill_speed_mps: float = Field(0.03, gt=0)
-    standstill_s: float = Field(1.0, gt=0)
-    yaw_rate_offset_sd_radps: float = Field(0.005, ge=0)
-    curvature_offset_sd_radpm: float = Field(0.0015, ge=0)
-    yaw_rate_scale_sd: float = Field(0.03, ge=0)
-    speed_scale_sd: float = Field(0.02, ge=0)
-    # rear-axle slip per lateral acceleration, m l_f / (l C_r): by vehicle/cars 0.0052 for a RAV4,
-    # 0.0057 for the identified 250 LM, 0.0076 for a Passat
-    slip_rad_per_mps2: float = Field(0.006, ge=0, le=0.05)
-    slip_sd_rad_per_mps2: float = Field(0.0015, ge=0, le=0.05)
-
-    # likelihood of a scan
-    p_detection: float = Field(0.7, gt=0, lt=1)
-    clutter_per_m2: float = Field(1e-3, gt=0)
-    clutter_width_span_m: float = Field(1.0, gt=0)
-    beta_p: float = Field(1.0, gt=0)
-    width_sd_m: float = Field(0.15, gt=0)
-    position_floor_m: float = Field(0.03, ge=0)
-    correlation_m: float = Field(2.0, gt=0)
-    correlation_s: float = Field(1.0, gt=0)
-    min_effective_share: float = Field(0.03, ge=0, le=0.5)
-    view_range_m: float = Field(25.0, gt=0)
-    view_half_angle_rad: float = Field(pi / 3, gt=0, le=pi)
-
-    # GNSS
-    gnss_sd_m: float = Field(2.5, gt=0)
-    gnss_correlation_s: float = Field(60.0, gt=0)
-    gnss_outlier_share: float = Field(0.1, gt=0, lt=1)
-    gnss_window_s: float = Field(30.0, gt=0)
-    start_patience_s: float = Field(5.0, ge=0)
-    start_particles_factor: int = Field(4, ge=1, le=100)
-    gnss_max_age_s: float = Field(3.0, gt=0)
-
-    # exploration and recovery
-    likelihood_short_s: float = Field(1.0, gt=0)
-    likelihood_long_s: float = Field(20.0, gt=0)
-    explore_margin: float = Field(0.4, gt=0, le=1)
-    explore_share_max: float = Field(0.2, ge=0, le=0.9)
-    constellation_min_poles: int = Field(3, ge=2)
-    constellation_interval_s: float = Field(0.5, ge=0)
-    constellation_tolerance_m: float = Field(0.6, gt=0)
-    constellation_reach_m: float = Field(40.0, gt=0)
-    lost_sd_m: float = Field(15.0, gt=0)
-    lost_match_share: float = Field(0.34, ge=0, le=1)
-    lost_gnss_sd: float = Field(5.0, gt=0)
-    lost_after_s: float = Field(3.0, gt=0)
-
-    # estimate and health
-    estimate: Literal["mean", "best_mode"] = "best_mode"
-    mode_radius_m: float = Field(1.5, gt=0)
-    mode_radius_rad: float = Field(0.35, gt=0)
-    mode_share_min: float = Field(0.1, gt=0, lt=1)
-    healthy_sd_m: float = Field(2.0, gt=0)
-    proven_sd_m: float = Field(0.5, gt=0)
-    proven_after_m: float = Field(25.0, gt=0)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> LocalizeConfig:
-        if self.kld_particles_min > self.kld_particles_max:
-            raise ValueError(
-                f"kld_particles_min {self.kld_particles_min} is above kld_particles_max "
-                f"{self.kld_particles_max}"
-            )
-        if self.likelihood_long_s <= self.likelihood_short_s:
-            raise ValueError(
-                f"likelihood_long_s {self.likelihood_long_s} must be above likelihood_short_s "
-                f"{self.likelihood_short_s}"
-            )
-        return self

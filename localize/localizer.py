@@ -19,7 +19,7 @@ from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, 
 from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.clocks import StreamClock
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
 from polemap.localize.particle_filter.estimate import PfEstimate
@@ -31,6 +31,9 @@ from polemap.vehicle.delay import Placement
 Floats = NDArray[np.float64]
 
 STREAMS = ("odometry", "gnss", "camera")
+
+# a pose whose particles spread further than this along one axis is not offered to the output filter
+_OFFER_SD_MAX_M = 5.0
 
 
 class Perception(Protocol):
@@ -91,21 +94,23 @@ class Localizer:
         on_update: Callable[[PoseUpdate], None] | None = None,
         clock: Callable[[], float] | None = None,
     ) -> None:
-        self._antenna = np.zeros(2) if gnss_antenna_m is None else np.asarray(gnss_antenna_m)
+        antenna = (0.0, 0.0) if gnss_antenna_m is None else tuple(map(float, gnss_antenna_m))
+        receiver = GnssReceiver((antenna[0], antenna[1]), config.gnss)
         self._particle_filter = (
-            ParticleFilter(pole_map, config, wheelbase_m, rng) if pole_map is not None else None
+            ParticleFilter(pole_map, config, wheelbase_m, rng, receiver=receiver)
+            if pole_map is not None
+            else None
         )
-        self._filter = OutputFilter(config.output, self._antenna, config.slip_rad_per_mps2)
-        self._limiter = OutputLimiter(config.output)
-        self._config: OutputConfig = config.output
+        self._filter = OutputFilter(config.output, receiver, config.odometry.slip_rad_per_mps2)
+        self._limiter = OutputLimiter()
         # what the particle filter has learned
         self._correction = OdometryCorrection()
-        self._slip_rad_per_mps2 = config.slip_rad_per_mps2
+        self._slip_rad_per_mps2 = config.odometry.slip_rad_per_mps2
         self._perception = perception
         self._delay_s = processing_delay_s
         self._on_update = on_update
         self._times = StageTimes(clock)
-        self._clocks = {name: StreamClock(config.output) for name in STREAMS}
+        self._clocks = {name: StreamClock() for name in STREAMS}
         self._inbox: deque[OdometrySample | GnssFix] = deque(maxlen=20_000)
         self._pending: list[tuple[float, int, PfEstimate, float]] = []
         self._numbers = count()
@@ -136,7 +141,7 @@ class Localizer:
         It passes the same clock watch, health policy and gate.
         """
         with self._fast:
-            stamp = self._clocks["camera"].check(estimate.stamp_s, estimate.arrival_s)
+            stamp = self._clocks["camera"].checked_stamp(estimate.stamp_s, estimate.arrival_s)
             if stamp is not None:
                 self._hold(replace(estimate, stamp_s=stamp), estimate.arrival_s)
 
@@ -150,12 +155,12 @@ class Localizer:
             self._release(stamp_s)
             if not self._filter.started:
                 return None
-            state = self._filter.at(stamp_s)
+            state = self._filter.predicted_to(stamp_s)
             if state.stamp_s > stamp_s:
                 return None
             if stamp_s <= self._limiter.last_stamp_s:
                 return self._limiter.unlimited(state)
-            return self._limiter.next(state)
+            return self._limiter.limit(state)
 
     def summary(self) -> dict[str, int]:
         """Counts of decisions, and of bad input by stream and kind."""
@@ -173,7 +178,7 @@ class Localizer:
 
     def _push_odometry(self, sample: OdometrySample) -> None:
         with self._fast:
-            stamp = self._clocks["odometry"].check(sample.stamp_s, sample.arrival_s)
+            stamp = self._clocks["odometry"].checked_stamp(sample.stamp_s, sample.arrival_s)
             if stamp is None:
                 return
             if not np.isfinite((sample.speed_mps, sample.yaw_rate_radps)).all():
@@ -181,21 +186,21 @@ class Localizer:
                 return
             self._release(sample.arrival_s)
             with self._times.of("output_odometry"):
-                placed = self._filter.odometry(stamp, *self._correction.rates(sample))
+                placed = self._filter.add_odometry(stamp, *self._correction.rates(sample))
             self._count("odometry", placed)
             if self._particle_filter is not None:
                 self._inbox.append(replace(sample, stamp_s=stamp))
 
     def _push_gnss(self, fix: GnssFix) -> None:
         with self._fast:
-            stamp = self._clocks["gnss"].check(fix.stamp_s, fix.arrival_s)
+            stamp = self._clocks["gnss"].checked_stamp(fix.stamp_s, fix.arrival_s)
             if stamp is None:
                 return
             if not np.isfinite((fix.east_m, fix.north_m, fix.hdop)).all():
                 self.counts["gnss_not_finite"] += 1
                 return
             self._release(fix.arrival_s)
-            placed = self._filter.gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
+            placed = self._filter.add_gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
             self._count("gnss", placed)
             if self._particle_filter is not None:
                 self._inbox.append(replace(fix, stamp_s=stamp))
@@ -225,12 +230,12 @@ class Localizer:
         if problem is not None:
             self.counts[f"pose_{problem}"] += 1
             return f"dropped:{problem}", nan, nan
-        reason = self._not_offered(estimate)
+        reason = _not_offered(estimate)
         if reason is not None:
             self.counts[f"not_offered_{reason}"] += 1
             return f"not_offered:{reason}", nan, nan
         with self._times.of("output_pose"):
-            placed = self._filter.pose(
+            placed = self._filter.add_pose(
                 estimate.stamp_s,
                 estimate.pose,
                 estimate.covariance,
@@ -241,26 +246,14 @@ class Localizer:
         self._count("pose", placed)
         if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
             return f"dropped:{placed.value}", nan, self._times.last_s("output_pose")
-        return *self._filter.verdict_at(estimate.stamp_s), self._times.last_s("output_pose")
-
-    def _not_offered(self, estimate: PfEstimate) -> str | None:
-        config = self._config
-        if not estimate.healthy:
-            return "unhealthy"
-        if estimate.modes > config.offer_modes_max:
-            return "modes"
-        if estimate.health.position_sd_major_m > config.offer_sd_max_m:
-            return "spread"
-        if estimate.health.match_share < config.offer_match_min:
-            return "match"
-        return None
+        return *self._filter.decision_at(estimate.stamp_s), self._times.last_s("output_pose")
 
     # the slow half
 
     def _push_view(self, sample: PoleScan | StereoFrame) -> PfEstimate | None:
         assert self._particle_filter is not None
         with self._fast:
-            stamp = self._clocks["camera"].check(sample.stamp_s, sample.arrival_s)
+            stamp = self._clocks["camera"].checked_stamp(sample.stamp_s, sample.arrival_s)
             self._release(sample.arrival_s)
             inbox = list(self._inbox)
             self._inbox.clear()
@@ -271,7 +264,7 @@ class Localizer:
                     if self._perception is not None:
                         self._perception.record_odometry(earlier)
                 else:
-                    self._particle_filter.gnss(earlier, self._antenna)
+                    self._particle_filter.add_fix(earlier)
             if stamp is None:
                 return None
             scan = self._look(replace(sample, stamp_s=stamp))
@@ -294,3 +287,14 @@ class Localizer:
             raise InputError("a stereo frame was pushed, but this localizer has no perception")
         with self._times.of("perception"):
             return self._perception.scan_frame(sample)
+
+
+def _not_offered(estimate: PfEstimate) -> str | None:
+    """Why the particle filter's own health keeps a pose from the output filter, or None."""
+    if not estimate.healthy:
+        return "unhealthy"
+    if estimate.modes > 1:
+        return "modes"
+    if estimate.health.position_sd_major_m > _OFFER_SD_MAX_M:
+        return "spread"
+    return None

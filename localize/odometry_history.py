@@ -21,6 +21,8 @@ from polemap.vehicle.motion import sinc
 
 Floats = NDArray[np.float64]
 _KEEP_S = 90.0
+GAP_S = 0.5
+"""A time without samples that is longer than this is a hole: 25 samples at 50 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class OdometryHistory:
         slip_rad_per_mps2: the rear axle slips outward by this angle per lateral acceleration.
     """
 
-    def __init__(self, gap_s: float, slip_rad_per_mps2: float = 0.0) -> None:
+    def __init__(self, slip_rad_per_mps2: float = 0.0, gap_s: float = GAP_S) -> None:
         self._gap_s = gap_s
         self.slip_rad_per_mps2 = slip_rad_per_mps2
         self._window = OdometryWindow(_KEEP_S, slack=1.5)
@@ -64,7 +66,7 @@ class OdometryHistory:
         """Stamp of the newest sample, minus infinity before the first."""
         return self._window.newest_s
 
-    def push(self, sample: OdometrySample) -> bool:
+    def append(self, sample: OdometrySample) -> bool:
         """Append a sample; False if it is not newer than the last or not finite."""
         values = (sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
         if not np.isfinite(values).all() or sample.stamp_s <= self.newest_s:
@@ -134,7 +136,7 @@ class OdometryHistory:
         known_until = before + self._gap_s
         return max(0.0, b - max(a, known_until))
 
-    def dead_reckoning(self, stamp_s: float) -> Floats:
+    def odometry_pose(self, stamp_s: float) -> Floats:
         """Pose `(3,)` of the rear axle in the dead-reckoning frame, yaw not wrapped."""
         if not self._stamps:
             return np.zeros(3)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,7 @@ _STRAY_S = 2.0
 _DRIFT_SHARE = 0.02
 _SAME_PLACE_M = 1.0
 _FIXES_AT_A_PLACE = 5  # the newest; enough for a median that one outlier or two do not move
-_WIDE_SD = 20.0  # of an outlier, in standard deviations of the pose
+_WINDOW_S = 30.0  # older fixes are forgotten: dead reckoning has drifted under them
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class GnssPose:
             drawn[:, 2] = rng.uniform(-np.pi, np.pi, count)
         return np.asarray(drawn)
 
-    def misfit(self, poses: Floats, outlier_share: float) -> Floats:
+    def misfit(self, poses: Floats, receiver: GnssReceiver) -> Floats:
         """How much less likely than the best pose others `(n, 3)` are, `(n,)` as minus the log.
 
         Mixed with a far wider Gaussian: GNSS may be wrong altogether.
@@ -55,9 +55,7 @@ class GnssPose:
         offset[:, 2] = wrap_angle(offset[:, 2])
         inverse = np.linalg.inv(self.covariance[:known, :known])
         d2 = np.einsum("ni,ij,nj->n", offset[:, :known], inverse, offset[:, :known])
-        wide = _WIDE_SD**2
-        near = np.log1p(-outlier_share) - 0.5 * d2
-        return np.asarray(-np.logaddexp(near, np.log(outlier_share / wide) - 0.5 * d2 / wide))
+        return -receiver.mixture(d2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,17 +64,16 @@ class _Pair:
 
     stamp_s: float
     fix_m: Floats
-    reckoned_m: Floats
+    odometry_m: Floats
     sd_m: float
 
 
 class GnssAlignment:
     """Keeps the recent fixes with the dead-reckoned antenna positions, and aligns the two."""
 
-    def __init__(self, config: LocalizeConfig) -> None:
-        self._config = config
+    def __init__(self, receiver: GnssReceiver) -> None:
+        self._receiver = receiver
         self._pairs: deque[_Pair] = deque(maxlen=_MOST_FIXES)
-        self._antenna_m = np.zeros(2)
         self._latest: _Pair | None = None
 
     @property
@@ -84,47 +81,42 @@ class GnssAlignment:
         """Stamp of the newest fix, minus infinity before the first."""
         return self._latest.stamp_s if self._latest else -np.inf
 
-    def push(self, fix: GnssFix, antenna_m: Floats, reckoned: Floats) -> None:
+    def add_fix(self, fix: GnssFix, odometry_pose: Floats) -> None:
         """Add a fix together with the dead-reckoned rear-axle pose `(3,)` of its moment."""
-        c, s = np.cos(reckoned[2]), np.sin(reckoned[2])
-        x, y = antenna_m
-        position = reckoned[:2] + np.array([c * x - s * y, s * x + c * y])
-        sd = self._config.gnss_sd_m * max(fix.hdop, 0.5)
+        c, s = np.cos(odometry_pose[2]), np.sin(odometry_pose[2])
+        x, y = self._receiver.antenna_m
+        position = odometry_pose[:2] + np.array([c * x - s * y, s * x + c * y])
+        sd = self._receiver.sd_m(fix.hdop)
         pair = _Pair(fix.stamp_s, np.array([fix.east_m, fix.north_m]), position, sd)
-        self._antenna_m = np.asarray(antenna_m, dtype=np.float64)
         self._latest = pair
         if not self._pairs or fix.stamp_s - self._pairs[-1].stamp_s >= _SPACING_S:
             self._pairs.append(pair)
-        while self._pairs[0].stamp_s < fix.stamp_s - self._config.gnss_window_s:
+        while self._pairs[0].stamp_s < fix.stamp_s - _WINDOW_S:
             self._pairs.popleft()
 
-    def forget(self) -> None:
-        """Start anew: what was dead-reckoned before has nothing to do with what comes."""
-        self._pairs.clear()
-
-    def pose(self, reckoned: Floats) -> GnssPose | None:
+    def align(self, odometry_pose: Floats) -> GnssPose | None:
         """Where the car is now, given its dead-reckoned pose `(3,)`; None without recent fixes."""
         if self._latest is None or not self._pairs:
             return None
         pairs = list(self._pairs)
         if pairs[-1].stamp_s < self._latest.stamp_s:
             pairs.append(self._latest)
-        result, kept = self._fit(pairs, reckoned)
+        result, kept = self._fit(pairs, odometry_pose)
         late = np.array([p.stamp_s >= pairs[-1].stamp_s - _STRAY_S for p in pairs])
         if late.sum() >= 3 and not kept[late].any():
             # the newest fixes agree with nothing before them: the car was moved, or was elsewhere
             self._pairs = deque(
                 (p for p, is_late in zip(pairs, late, strict=True) if is_late), _MOST_FIXES
             )
-            result, _ = self._fit(list(self._pairs), reckoned)
+            result, _ = self._fit(list(self._pairs), odometry_pose)
         return result
 
-    def _fit(self, pairs: list[_Pair], reckoned: Floats) -> tuple[GnssPose, NDArray[np.bool_]]:
+    def _fit(self, pairs: list[_Pair], odometry_pose: Floats) -> tuple[GnssPose, NDArray[np.bool_]]:
         fixes = np.array([p.fix_m for p in pairs])
-        path = np.array([p.reckoned_m for p in pairs])
+        path = np.array([p.odometry_m for p in pairs])
         sd = np.array([p.sd_m for p in pairs])
         # dead reckoning that lies far back has drifted
-        away = np.hypot(*(path - reckoned[:2]).T)
+        away = np.hypot(*(path - odometry_pose[:2]).T)
         tolerance = np.hypot(_SHORT_TERM_SHARE * sd, _DRIFT_SHARE * away)
         extent = float(np.hypot(*np.ptp(path, axis=0)))
         if len(pairs) >= 2 and extent > 2.0 * float(np.median(tolerance)):
@@ -137,16 +129,16 @@ class GnssAlignment:
             kept = np.hypot(*(offset - shift).T) < _OUTLIER_SD * sd
         known = yaw_sd < 0.35
         if not known:
-            return self._unknown_heading(fixes, path, sd, reckoned), kept
+            return self._unknown_heading(fixes, path, sd, odometry_pose), kept
         c, s = np.cos(yaw), np.sin(yaw)
         rotation = np.array([[c, -s], [s, c]])
         pose = np.empty(3)
-        pose[:2] = rotation @ reckoned[:2] + shift
-        pose[2] = wrap_angle(reckoned[2] + yaw)
+        pose[:2] = rotation @ odometry_pose[:2] + shift
+        pose[2] = wrap_angle(odometry_pose[2] + yaw)
         # what all fixes share (Gauss-Markov) does not shrink with their number
         position_var = float(np.median(sd)) ** 2 * (1.0 - _SHORT_TERM_SHARE**2 / 2)
         centre = path[kept].mean(axis=0)
-        arm = rotation @ (reckoned[:2] - centre)
+        arm = rotation @ (odometry_pose[:2] - centre)
         across = np.array([-arm[1], arm[0]])
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = np.eye(2) * position_var + np.outer(across, across) * yaw_sd**2
@@ -155,7 +147,7 @@ class GnssAlignment:
         return GnssPose(pose, covariance, True), kept
 
     def _unknown_heading(
-        self, fixes: Floats, path: Floats, sd: Floats, reckoned: Floats
+        self, fixes: Floats, path: Floats, sd: Floats, odometry_pose: Floats
     ) -> GnssPose:
         """Rear axle somewhere around the antenna, in any direction.
 
@@ -163,13 +155,13 @@ class GnssAlignment:
             fixes: `(n, 2)` east, north of the antenna, oldest first.
             path: `(n, 2)` where dead reckoning had the antenna at their moments.
             sd: `(n,)` standard deviations of the fixes, an axis, metres.
-            reckoned: `(3,)` the rear axle now, in the frame of `path`.
+            odometry_pose: `(3,)` the rear axle now, in the frame of `path`.
         """
         # older fixes lie behind, nobody knows in which direction
         here = np.hypot(*(path - path[-1]).T) < _SAME_PLACE_M
         position = np.median(fixes[here][-_FIXES_AT_A_PLACE:], axis=0)
-        lever = float(np.hypot(*self._antenna_m))
-        since = float(np.hypot(*(reckoned[:2] - path[-1])))
+        lever = float(np.hypot(*self._receiver.antenna_m))
+        since = float(np.hypot(*(odometry_pose[:2] - path[-1])))
         variance = float(np.median(sd)) ** 2 + 0.5 * max(lever, since) ** 2
         return GnssPose(
             np.array([position[0], position[1], 0.0]), np.diag([variance, variance, 1.0]), False

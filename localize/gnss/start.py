@@ -8,29 +8,35 @@ from math import atan2, cos, hypot, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.output_filter.state import PoseUpper
 from polemap.vehicle.packed import Pose, ctrv_step, wrap
 
 Floats = NDArray[np.float64]
+
+START_YAW_SD_RAD = 0.3
+"""Heading known well enough to start: poses and fixes within it still fit a linear filter."""
 
 
 class GnssStart:
     """Fits the dead-reckoned path to the fixes along it: position and heading, rigidly.
 
     Args:
-        antenna_m: `(2,)` antenna in the vehicle frame.
+        receiver: where the antenna is.
         yaw_sd_max_rad: how well the heading must be known.
         window: fixes that are kept; older ones have drifted.
     """
 
-    def __init__(self, antenna_m: Floats, yaw_sd_max_rad: float, window: int = 40) -> None:
-        self._antenna = (float(antenna_m[0]), float(antenna_m[1]))
+    def __init__(
+        self, receiver: GnssReceiver, yaw_sd_max_rad: float = START_YAW_SD_RAD, window: int = 40
+    ) -> None:
+        self._antenna = receiver.antenna_m
         self._yaw_sd_max = yaw_sd_max_rad
         self._pairs: deque[tuple[float, float, float, float, float]] = deque(maxlen=window)
-        self._reckoned = (0.0, 0.0, 0.0)
+        self._odometry_pose = (0.0, 0.0, 0.0)
         self._last: tuple[float, float, float] | None = None
 
-    def odometry(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> None:
+    def add_odometry(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> None:
         """Move the dead-reckoned pose on to the sample; late samples are left out."""
         if self._last is None or stamp_s > self._last[0]:
             self._move_to(stamp_s)
@@ -42,17 +48,18 @@ class GnssStart:
         before, speed, rate = self._last
         dt = stamp_s - before
         if dt > 0.0:
-            self._reckoned = ctrv_step(self._reckoned, speed, rate, dt)
+            x, y, yaw = ctrv_step(self._odometry_pose, speed, rate, dt)
+            self._odometry_pose = (x, y, yaw)
             self._last = (stamp_s, speed, rate)
 
-    def fix(
+    def add_fix(
         self, stamp_s: float, east_m: float, north_m: float, sd_m: float
     ) -> tuple[Pose, PoseUpper] | None:
         """Pose and packed covariance at the fix, once its heading is known."""
         if self._last is None:
             return None
         self._move_to(stamp_s)
-        x, y, yaw = self._reckoned
+        x, y, yaw = self._odometry_pose
         c, s = cos(yaw), sin(yaw)
         ax, ay = self._antenna
         self._pairs.append((x + c * ax - s * ay, y + s * ax + c * ay, east_m, north_m, sd_m))
@@ -77,7 +84,7 @@ class GnssStart:
             return None
         centre_local = (weight[:, None] * table[:, :2]).sum(axis=0) / total
         centre_fixed = (weight[:, None] * table[:, 2:4]).sum(axis=0) / total
-        x, y, yaw = self._reckoned
+        x, y, yaw = self._odometry_pose
         dx, dy = x - centre_local[0], y - centre_local[1]
         c, s = cos(rotation), sin(rotation)
         pose = (

@@ -8,19 +8,21 @@ rejection policy, counts) is part of the state, so a replay decides again, as in
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
-from math import exp, isfinite, nan
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.localize.gnss.ekf_update import update_by_gnss
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.gnss.start import GnssStart
-from polemap.localize.gnss.update import take_gnss
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.correlation import missing, news
-from polemap.localize.output_filter.odometry_update import take_odometry
-from polemap.localize.output_filter.rejection import moved, reject
+from polemap.localize.output_filter.noise_model import NoiseModel
+from polemap.localize.output_filter.odometry_update import update_by_odometry
+from polemap.localize.output_filter.pose_update import update_by_pose
+from polemap.localize.output_filter.rejection import reset_pose
 from polemap.localize.output_filter.state import (
+    NEVER,
     Event,
     FilterState,
     GnssEvent,
@@ -31,20 +33,25 @@ from polemap.localize.output_filter.state import (
 )
 from polemap.vehicle.delay import Placement, ReplayBuffer
 from polemap.vehicle.kalman import (
-    angle_residual,
     chi_square_gate,
-    innovate,
     is_covariance,
-    joseph_update,
 )
-from polemap.vehicle.packed import SIZE, CtrvNoise, Pose, as_mean, ctrv_predict, pack, unpack, wrap
+from polemap.vehicle.packed import (
+    Pose,
+    ctrv_predict,
+    pack,
+    wrap,
+)
 
 Floats = NDArray[np.float64]
 
+# shares of right measurements that pass the gates
+_ODOMETRY_GATE, _GNSS_GATE = 0.9999, 0.99
+# of rejected fixes, without an accepted pose, before the filter starts anew from the fixes
+_GNSS_RESTART_AFTER_S = 5.0
+_NO_LEVER_ARM, _CAR = GnssReceiver(), NoiseModel()
 # order of events of one stamp
 _ODOMETRY, _GNSS, _RESTART, _POSE = 0, 1, 2, 3
-_POSE_ROWS = np.eye(3, SIZE)
-_NEVER = float("-inf")
 
 
 class OutputFilter:
@@ -52,44 +59,39 @@ class OutputFilter:
 
     Args:
         config: settings.
-        gnss_antenna_m: `(2,)` antenna in the vehicle frame.
+        receiver: where the GNSS antenna is, and how well it measures.
         slip_rad_per_mps2: of the rear axle, until a pose says better.
+        noise: what is taken to be random.
     """
 
     def __init__(
         self,
         config: OutputConfig,
-        gnss_antenna_m: Floats | None = None,
+        receiver: GnssReceiver = _NO_LEVER_ARM,
         slip_rad_per_mps2: float = 0.0,
+        noise: NoiseModel = _CAR,
     ) -> None:
         self._config = config
-        antenna = np.zeros(2) if gnss_antenna_m is None else np.asarray(gnss_antenna_m)
-        self._antenna = (float(antenna[0]), float(antenna[1]))
+        self._receiver = receiver
+        self._model, self._noise = noise, noise.densities
         self._slip = slip_rad_per_mps2
-        self._noise = CtrvNoise(
-            2.0 * config.acceleration_mps2**2 * config.acceleration_time_s,
-            2.0 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s,
-            2.0 * config.slip_rad_per_mps2**2 * config.slip_time_s,
-            2.0 * config.speed_error_share**2 * config.odometry_error_time_s,
-            2.0 * config.yaw_rate_error_radps**2 * config.odometry_error_time_s,
-            config.speed_scale_walk**2,
-            config.yaw_rate_offset_walk_radps**2,
-        )
         self._pose_limit = chi_square_gate(config.pose_gate, 3)
-        self._odometry_limit = chi_square_gate(config.odometry_gate, 2)
-        self._gnss_limit = chi_square_gate(config.gnss_gate, 2)
+        self._odometry_limit = chi_square_gate(_ODOMETRY_GATE, 2)
+        self._gnss_limit = chi_square_gate(_GNSS_GATE, 2)
         self._buffer: ReplayBuffer[FilterState, Event] = ReplayBuffer(
             self._apply, horizon_s=config.horizon_s, capacity=4096
         )
         self._recent: deque[tuple[float, OdometryEvent]] = deque(maxlen=4096)
-        self._start = GnssStart(antenna, config.start_yaw_sd_rad)
+        self._start = GnssStart(receiver)
 
     # what comes in
 
-    def odometry(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> Placement | None:
+    def add_odometry(
+        self, stamp_s: float, speed_mps: float, yaw_rate_radps: float
+    ) -> Placement | None:
         """Take odometry in; None while the filter has not started."""
         event = OdometryEvent(speed_mps, yaw_rate_radps)
-        self._start.odometry(stamp_s, speed_mps, yaw_rate_radps)
+        self._start.add_odometry(stamp_s, speed_mps, yaw_rate_radps)
         if self._buffer.started:
             return self._buffer.insert(stamp_s, event, kind=_ODOMETRY)
         self._recent.append((stamp_s, event))
@@ -97,7 +99,7 @@ class OutputFilter:
             self._recent.popleft()
         return None
 
-    def pose(
+    def add_pose(
         self,
         stamp_s: float,
         pose: Floats,
@@ -109,11 +111,10 @@ class OutputFilter:
         The first one starts the filter, or takes over from a start by GNSS. The caller has made
         sure with `usable_pose` that it can be used.
         """
-        config = self._config
         r = covariance
         a, b, c = float(r[0, 0]), float(r[0, 1]), float(r[0, 2])
         d, e, f = float(r[1, 1]), float(r[1, 2]), float(r[2, 2])
-        floor_m2, floor_rad2 = config.pose_floor_m**2, config.pose_floor_rad**2
+        floor_m2, floor_rad2 = self._model.pose_floor_m**2, self._model.pose_floor_rad**2
         event = PoseEvent(
             (float(pose[0]), float(pose[1]), wrap(float(pose[2]))),
             (a + floor_m2, b, c, d + floor_m2, e, f + floor_rad2),
@@ -124,17 +125,19 @@ class OutputFilter:
         self._begin(stamp_s, event.pose, event.upper, by_pose=True)
         return Placement.APPENDED
 
-    def gnss(self, stamp_s: float, east_m: float, north_m: float, hdop: float) -> Placement | None:
+    def add_gnss(
+        self, stamp_s: float, east_m: float, north_m: float, hdop: float
+    ) -> Placement | None:
         """Take a fix in: it starts the filter, bounds it while poses fail, and vetoes.
 
         None while the fixes do not yet show the heading.
         """
-        sd = self._config.gnss_sd_m * max(hdop, 0.5)
-        found = self._start.fix(stamp_s, east_m, north_m, sd)
+        sd = self._receiver.sd_m(hdop)
+        found = self._start.add_fix(stamp_s, east_m, north_m, sd)
         if self._buffer.started:
             placed = self._buffer.insert(stamp_s, GnssEvent(east_m, north_m, sd), kind=_GNSS)
             lasted = stamp_s - self._buffer.state.gnss_rejected_since_s
-            if found is not None and lasted >= self._config.gnss_restart_after_s:
+            if found is not None and lasted >= _GNSS_RESTART_AFTER_S:
                 self._buffer.insert(stamp_s, RestartEvent(*found), kind=_RESTART)
             return placed
         if found is None:
@@ -153,7 +156,7 @@ class OutputFilter:
         """The state after the newest event."""
         return self._buffer.state
 
-    def verdict_at(self, stamp_s: float) -> tuple[str, float]:
+    def decision_at(self, stamp_s: float) -> tuple[str, float]:
         """What became of the last pose at or before `stamp_s`, and its NIS (three dimensions).
 
         The NIS is NaN for a pose that started the filter.
@@ -161,7 +164,7 @@ class OutputFilter:
         state = self._buffer.state_at(stamp_s)
         return state.decision, state.nis
 
-    def at(self, stamp_s: float) -> FilterState:
+    def predicted_to(self, stamp_s: float) -> FilterState:
         """Open-loop prediction from the last event at or before `stamp_s`.
 
         Raises:
@@ -184,67 +187,33 @@ class OutputFilter:
         if dt > 0.0:
             mean, upper = ctrv_predict(mean, upper, dt, self._noise, state.slip_rad_per_mps2)
         if isinstance(event, OdometryEvent):
-            return take_odometry(
+            return update_by_odometry(
                 state, stamp_s, mean, upper, event, self._config, self._odometry_limit
             )
         state = state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
         if isinstance(event, PoseEvent):
             state = state._replace(slip_rad_per_mps2=event.slip_rad_per_mps2)
-            return self._take_pose(state, event)
+            return update_by_pose(state, event, self._config, self._pose_limit)
         if isinstance(event, GnssEvent):
-            return take_gnss(state, event, self._antenna, self._config, self._gnss_limit)
-        counts = state.counts._replace(gnss_restarts=state.counts.gnss_restarts + 1)
-        return moved(state, event.pose, event.upper)._replace(counts=counts, last_pose_s=_NEVER)
-
-    def _take_pose(self, state: FilterState, event: PoseEvent) -> FilterState:
-        config = self._config
-        counts = state.counts
-        noise, covariance = _square(event.upper), unpack(state.upper)
-        residual = angle_residual(np.array(event.pose), np.array(state.mean[:3]), angle_rows=(2,))
-        innovation = innovate(residual, covariance, _POSE_ROWS, noise)
-        if config.gate and innovation.nis > self._pose_limit:
-            return reject(state, event, innovation.nis, self._pose_limit, config)
-        if state.last_pose_s == _NEVER:
-            # GNSS has started the filter, poles know better: the first pose that fits takes over
-            counts = counts._replace(takeovers=counts.takeovers + 1)
-            return moved(state, event.pose, event.upper)._replace(
-                counts=counts, decision="started", nis=nan
+            return update_by_gnss(
+                state, event, self._receiver, self._gnss_limit, gated=self._config.gate
             )
-        weight, shared = noise, config.pose_errors == "shared"
-        if shared:
-            least = 1.0 - exp((state.last_pose_s - state.stamp_s) / config.pose_follow_s)
-            weight = news(covariance[:3, :3], noise, least)
-            gain = np.asarray(np.linalg.solve(covariance[:3, :3] + weight, covariance[:3]).T, float)
-            innovation = replace(innovation, gain=gain)
-        mean, updated = joseph_update(
-            np.array(state.mean), covariance, innovation, _POSE_ROWS, weight
-        )
-        if shared:
-            updated[:3, :3] += missing(updated[:3, :3], noise)
-        return state._replace(
-            mean=as_mean(mean),
-            upper=pack(updated),
-            counts=counts._replace(poses_accepted=counts.poses_accepted + 1),
-            rival=None,
-            last_pose_s=state.stamp_s,
-            decision="accepted",
-            nis=innovation.nis,
-        )
+        counts = state.counts._replace(gnss_restarts=state.counts.gnss_restarts + 1)
+        return reset_pose(state, event.pose, event.upper)._replace(counts=counts, last_pose_s=NEVER)
 
     def _begin(self, stamp_s: float, pose: Pose, upper: PoseUpper, *, by_pose: bool) -> None:
-        config = self._config
         known = self._recent[-1][1] if self._recent else None
         speed, rate = known if known else (0.0, 0.0)
         spread = [1.0, 0.1] if known else [100.0, 1.0]
-        wrong = [config.speed_scale_sd**2, config.yaw_rate_offset_sd_radps**2]
+        wrong = [self._model.speed_scale_sd**2, self._model.yaw_rate_offset_sd_radps**2]
         state = FilterState(
             stamp_s,
             (0.0, 0.0, 0.0, speed, rate, 0.0, 0.0),
             pack(np.diag([1.0, 1.0, 1.0, *spread, *wrong])),
             slip_rad_per_mps2=self._slip,
         )
-        state = moved(state, pose, upper)._replace(decision="started")
-        self._buffer.reset(state if by_pose else state._replace(last_pose_s=_NEVER), stamp_s)
+        state = reset_pose(state, pose, upper)._replace(decision="started")
+        self._buffer.reset(state if by_pose else state._replace(last_pose_s=NEVER), stamp_s)
         for stamp, event in self._recent:
             if stamp > stamp_s:
                 self._buffer.insert(stamp, event, kind=_ODOMETRY)
@@ -256,8 +225,3 @@ def usable_pose(stamp_s: float, pose: Floats, covariance: Floats) -> str | None:
     if not isfinite(stamp_s) or not np.isfinite(pose).all():
         return "not_finite"
     return None if is_covariance(covariance) else "bad_covariance"
-
-
-def _square(upper: PoseUpper) -> Floats:
-    a, b, c, d, e, f = upper
-    return np.array([[a, b, c], [b, d, e], [c, e, f]])

@@ -13,11 +13,13 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.state import FilterState
 from polemap.vehicle.packed import Pose, ctrv_step, unpack, wrap
 
 Floats = NDArray[np.float64]
+
+CORRECTION_MPS, CORRECTION_RADPS = 1.5, 0.4
+"""Fastest corrections: 15 mm and 0.23 degrees a tick of 100 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +47,7 @@ class OutputPose:
 class OutputLimiter:
     """Turns the filter's states at rising stamps into the output."""
 
-    def __init__(self, config: OutputConfig) -> None:
-        self._config = config
+    def __init__(self) -> None:
         self._last: tuple[float, Pose] | None = None
         self._jumps = 0
 
@@ -55,7 +56,7 @@ class OutputLimiter:
         """Stamp of the last output, minus infinity before any."""
         return self._last[0] if self._last else float("-inf")
 
-    def next(self, state: FilterState) -> OutputPose:
+    def limit(self, state: FilterState) -> OutputPose:
         """The output for `state`, the filter's prediction to a stamp after the last one."""
         x, y, yaw = state.mean[:3]
         counts = state.counts
@@ -82,16 +83,17 @@ class OutputLimiter:
         """The last output moved on by the filter's speed and yaw rate."""
         stamp, pose = self._last or (state.stamp_s, (0.0, 0.0, 0.0))
         dt = state.stamp_s - stamp
-        return ctrv_step(pose, state.mean[3], state.mean[4], dt, state.slip_rad_per_mps2)
+        x, y, yaw = ctrv_step(pose, state.mean[3], state.mean[4], dt, state.slip_rad_per_mps2)
+        return x, y, yaw
 
     def _approach(self, state: FilterState) -> Pose:
         x, y, yaw = self._carried(state)
         dt = state.stamp_s - self.last_stamp_s
         dx, dy = state.mean[0] - x, state.mean[1] - y
         dyaw = wrap(state.mean[2] - yaw)
-        distance, reach = hypot(dx, dy), self._config.correction_mps * dt
+        distance, reach = hypot(dx, dy), CORRECTION_MPS * dt
         share = 1.0 if distance <= reach else reach / distance
-        turn = self._config.correction_radps * dt
+        turn = CORRECTION_RADPS * dt
         return (x + share * dx, y + share * dy, wrap(yaw + min(max(dyaw, -turn), turn)))
 
     def _answer(self, state: FilterState, pose: Pose, flag: str, jump_m: float) -> OutputPose:

@@ -12,11 +12,16 @@ from polemap.vehicle.packed import INDEX, Mean, Upper, update_by_two
 # rows of the state, see `vehicle.packed`
 _SPEED, _RATE, _SCALE, _OFFSET = 3, 4, 5, 6
 _MOVING_RATE = (_RATE, 1.0, _OFFSET, 1.0)
+# slower than this the car stands: wheel encoders of cars show nothing below a few cm/s
+_STANDSTILL_MPS = 0.02
+REJECTIONS_MAX = 10
+"""Samples in a row that may fail the gate; then odometry is believed. A fifth of a second at 50 Hz:
+longer than a slipping wheel at a kerb, shorter than the poses are kept waiting."""
 # what a standing car does
 _STILL_SPEED_VARIANCE, _STILL_RATE_VARIANCE = 0.005**2, 0.0005**2
 
 
-def take_odometry(
+def update_by_odometry(
     state: FilterState,
     stamp_s: float,
     mean: Mean,
@@ -32,7 +37,7 @@ def take_odometry(
     """
     speed, rate = event
     counts, rejected = state.counts, 0
-    standing = abs(speed) <= config.standstill_mps
+    standing = abs(speed) <= _STANDSTILL_MPS
     if standing:
         speed = 0.0
         row_v, row_w = (_SPEED, 1.0, _SCALE, 0.0), (_RATE, 1.0, _OFFSET, 0.0)
@@ -40,14 +45,14 @@ def take_odometry(
         expected_v, expected_w, seen_w = mean[3], mean[4], 0.0
     else:
         row_v, row_w = (_SPEED, 1.0 + mean[5], _SCALE, mean[3]), _MOVING_RATE
-        rv = (config.speed_sd_mps + config.speed_sd_share * abs(speed)) ** 2
+        rv = config.speed_sd_mps**2
         rw = config.yaw_rate_sd_radps**2
         expected_v, expected_w, seen_w = mean[3] * (1.0 + mean[5]), mean[4] + mean[6], rate
     dv, dw = speed - expected_v, seen_w - expected_w
     if config.gate and _pair_nis(upper, row_v, row_w, rv, rw, dv, dw) > limit:
         rejected = state.odometry_rejected + 1
         counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)
-        if rejected > config.odometry_rejections_max:
+        if rejected > REJECTIONS_MAX:
             # it insists: widen speed and yaw rate until it fits, then believe it
             rejected = 0
             upper = _widened(upper, dv * dv, dw * dw)
@@ -87,7 +92,7 @@ def _pair_nis(
     residual_one: float,
     residual_two: float,
 ) -> float:
-    """Squared Mahalanobis distance of two scalars with rows as in `update`."""
+    """Squared Mahalanobis distance of two scalars with rows as in `update_by_two`."""
     i, a, j, b = one
     k, c, m, d = two
     row_i, row_j, row_k = INDEX[i], INDEX[j], INDEX[k]

@@ -9,11 +9,12 @@ a re-initialization is flagged in the output.
 
 from __future__ import annotations
 
-from math import cos, exp, hypot, log, sin, sqrt
+from math import hypot, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.state import (
     FilterState,
@@ -27,8 +28,13 @@ from polemap.vehicle.packed import INDEX, SIZE, Pose, Upper, compose, inverse, p
 
 Floats = NDArray[np.float64]
 
-# share of GNSS fixes that say nothing: bounds what a single fix can say for either side
-_OUTLIER = 0.02
+INFLATE_AFTER_S = 0.5
+"""Rejections in a row before the filter grants itself more uncertainty: ten poses at 22 Hz."""
+# factor on the standard deviations of the pose at every rejection, and their bounds: so small that
+# a pose 10 m off still fails (tested)
+_INFLATE_FACTOR, _INFLATE_MAX_M, _INFLATE_MAX_RAD = 1.3, 0.5, 0.015
+# mean log-likelihood by which GNSS must speak for the filter to veto a re-initialization: e to one
+_GNSS_VETO = 1.0
 # what dead reckoning may be off by since the first rejected pose
 _DRIFT_M, _DRIFT_SHARE, _DRIFT_RAD = 0.1, 0.02, 0.02
 
@@ -50,17 +56,19 @@ def reject(
         rival = Rival(state.stamp_s, event.pose, here)
     lasted = state.stamp_s - rival.since_s
     state = state._replace(counts=counts, rival=rival, nis=nis)
-    if lasted < config.inflate_after_s:
+    if lasted < INFLATE_AFTER_S:
         return state._replace(decision="ignored")
     if lasted < config.reinitialize_after_s:
         counts = counts._replace(inflations=counts.inflations + 1)
-        upper = _inflated(state.upper, config)
+        upper = _inflated(state.upper)
         return state._replace(counts=counts, upper=upper, decision="inflated")
-    if rival.fixes and rival.evidence / rival.fixes > config.gnss_veto:
+    if rival.fixes and rival.evidence / rival.fixes > _GNSS_VETO:
         counts = counts._replace(gnss_vetoes=counts.gnss_vetoes + 1)
         return state._replace(counts=counts, decision="vetoed")
     counts = counts._replace(reinitializations=counts.reinitializations + 1)
-    return moved(state, event.pose, event.upper)._replace(counts=counts, decision="reinitialized")
+    return reset_pose(state, event.pose, event.upper)._replace(
+        counts=counts, decision="reinitialized"
+    )
 
 
 def _coherent(rival: Rival, event: PoseEvent, here: Pose, limit: float) -> bool:
@@ -82,7 +90,7 @@ def _carried(rival: Rival, here: Pose) -> Pose:
     return compose(rival.pose, compose(inverse(rival.filter_pose), here))
 
 
-def moved(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:
+def reset_pose(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:
     """The state put at a pose; speed and yaw rate stay, their ties to the old pose go."""
     a, b, c, d, e, f = upper
     none = (0.0, 0.0, 0.0, 0.0)
@@ -95,35 +103,20 @@ def moved(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:
     )
 
 
-def weigh(
-    state: FilterState, rival: Rival, event: GnssEvent, antenna_m: tuple[float, float]
+def weigh_by_gnss(
+    state: FilterState, rival: Rival, event: GnssEvent, receiver: GnssReceiver
 ) -> Rival:
     """Let a fix speak for the filter or for what the rejected poses say."""
     here = state.mean[:3]
-    gain = _log_likelihood(here, event, antenna_m)
-    gain -= _log_likelihood(_carried(rival, here), event, antenna_m)
+    gain = receiver.evidence(here, *event)
+    gain -= receiver.evidence(_carried(rival, here), *event)
     return rival._replace(fixes=rival.fixes + 1, evidence=rival.evidence + gain)
 
 
-def antenna_residual(
-    pose: Pose, event: GnssEvent, antenna_m: tuple[float, float]
-) -> tuple[float, float]:
-    """A fix against the antenna of a rear-axle pose, east and north."""
-    x, y, yaw = pose
-    c, s = cos(yaw), sin(yaw)
-    ax, ay = antenna_m
-    return (event.east_m - x - c * ax + s * ay, event.north_m - y - s * ax - c * ay)
-
-
-def _log_likelihood(pose: Pose, event: GnssEvent, antenna_m: tuple[float, float]) -> float:
-    east, north = antenna_residual(pose, event, antenna_m)
-    return log(exp(-(east * east + north * north) / (2.0 * event.sd_m**2)) + _OUTLIER)
-
-
-def _inflated(upper: Upper, config: OutputConfig) -> Upper:
+def _inflated(upper: Upper) -> Upper:
     """The pose's standard deviations times the factor, each up to its bound."""
-    limits = (config.inflate_max_m, config.inflate_max_m, config.inflate_max_rad)
+    limits = (_INFLATE_MAX_M, _INFLATE_MAX_M, _INFLATE_MAX_RAD)
     factor = np.ones(SIZE)
     for i, limit in enumerate(limits):
-        factor[i] = max(1.0, min(config.inflate_factor, limit / sqrt(upper[INDEX[i][i]])))
+        factor[i] = max(1.0, min(_INFLATE_FACTOR, limit / sqrt(upper[INDEX[i][i]])))
     return pack(unpack(upper) * factor[:, None] * factor[None, :])

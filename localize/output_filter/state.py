@@ -39,6 +39,9 @@ class RestartEvent(NamedTuple):
     upper: PoseUpper
 
 
+NEVER = float("-inf")
+"""Stamp of what has not happened."""
+
 Event = OdometryEvent | PoseEvent | GnssEvent | RestartEvent
 
 
@@ -92,8 +95,8 @@ class FilterState(NamedTuple):
     upper: Upper
     counts: Counts = Counts()
     rival: Rival | None = None
-    last_pose_s: float = float("-inf")
-    last_gnss_s: float = float("-inf")
+    last_pose_s: float = NEVER
+    last_gnss_s: float = NEVER
     odometry_rejected: int = 0
     gnss_rejected_since_s: float = float("inf")
     decision: str = ""

@@ -21,6 +21,12 @@ from polemap.vehicle.pose import move_reference_point, wrap_angle
 Floats = NDArray[np.float64]
 
 
+# share of effective particles below which they are drawn anew (S16, section IV)
+_RESAMPLE_BELOW = 0.5
+# how the slip differs from car to car: those of vehicle/cars lie within 1.1 of it
+_SLIP_SD_RAD_PER_MPS2 = 0.0015
+
+
 class Cloud:
     """Front-axle poses `(n, 3)`, slips `(n,)` and log-weights `(n,)`; empty until `place`."""
 
@@ -78,11 +84,10 @@ class Cloud:
 
     def resample(self, n_eff: float) -> None:
         """Draw anew by weight where too few particles count, or their number is adaptive."""
-        config = self._config
-        if n_eff >= config.resample_below * len(self) and not config.kld_adaptive:
+        if n_eff >= _RESAMPLE_BELOW * len(self) and not self._config.kld.adaptive:
             return
         weights = self.weights
-        count = particles_needed(self.poses, weights, config)
+        count = particles_needed(self.poses, weights, self._config)
         chosen = low_variance_indices(weights, count, self._rng)
         self._slips = jittered(self._slips[chosen], self._rng)
         self.poses = self.poses[chosen]
@@ -90,5 +95,5 @@ class Cloud:
 
     def _drawn_slips(self, count: int) -> Floats:
         """Slip of newcomers: from what is known of any car, for which none is negative."""
-        mean, sd = self._config.slip_rad_per_mps2, self._config.slip_sd_rad_per_mps2
+        mean, sd = self._config.odometry.slip_rad_per_mps2, _SLIP_SD_RAD_PER_MPS2
         return np.abs(mean + sd * self._rng.standard_normal(count))

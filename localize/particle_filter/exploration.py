@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.config import LocalizeConfig
 from polemap.localize.gnss.alignment import GnssPose
 from polemap.localize.particle_filter.assignment import PoseLikelihoods
 from polemap.localize.particle_filter.constellation import LOG_ODDS_A_POLE, Candidates
 
 Floats = NDArray[np.float64]
 
+# times of the two averages, and the ratio of the short one to the long one below which exploring
+# begins; our choice, as the book leaves them open
+_SHORT_S, _LONG_S, _MARGIN = 1.0, 20.0, 0.4
 _FULL_WEIGHT_POLES = 4.0
 _CANDIDATE_SD_M = 0.25
 _CANDIDATE_SD_RAD = 0.02
@@ -50,33 +52,33 @@ class LikelihoodAverages:
     Source: Thrun, Burgard, Fox (2005), table 8.3.
     """
 
-    def __init__(self, config: LocalizeConfig) -> None:
-        self._config = config
+    def __init__(self, share_max: float) -> None:
+        self._share_max = share_max
         self._short = self._long = 0.0
         self._age_s = 0.0
         self._last_s = -np.inf
 
     def update(self, stamp_s: float, quality: Quality) -> None:
         """Take in the quality of one scan; one that could match little counts little."""
-        elapsed = min(stamp_s - self._last_s, self._config.likelihood_short_s)
+        elapsed = min(stamp_s - self._last_s, _SHORT_S)
         self._last_s = stamp_s
         # an average over what there was so far, until it has the length it should have
         elapsed *= min(quality.possible / _FULL_WEIGHT_POLES, 1.0)
         if elapsed <= 0.0:
             return
         self._age_s += elapsed
-        for_short = min(self._config.likelihood_short_s, self._age_s)
-        for_long = min(self._config.likelihood_long_s, self._age_s)
+        for_short = min(_SHORT_S, self._age_s)
+        for_long = min(_LONG_S, self._age_s)
         self._short += -np.expm1(-elapsed / for_short) * (quality.value - self._short)
         self._long += -np.expm1(-elapsed / for_long) * (quality.value - self._long)
 
     @property
     def share(self) -> float:
-        """Share of the particles that should be drawn anew, 0 to `explore_share_max`."""
-        if self._age_s < self._config.likelihood_short_s or self._long <= 0.0:
+        """Share of the particles that should be drawn anew, 0 to `share_max`."""
+        if self._age_s < _SHORT_S or self._long <= 0.0:
             return 0.0
-        missing = 1.0 - self._short / (self._config.explore_margin * self._long)
-        return float(np.clip(missing, 0.0, self._config.explore_share_max))
+        missing = 1.0 - self._short / (_MARGIN * self._long)
+        return float(np.clip(missing, 0.0, self._share_max))
 
     def reset(self) -> None:
         """Forget both."""

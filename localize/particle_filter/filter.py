@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
 from polemap.localize.calibration import OdometryCalibration, OdometryCorrection
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.gnss.fixes import GnssFixes
+from polemap.localize.gnss.particle_weights import FixWeights
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.particle_filter.cloud import Cloud
 from polemap.localize.particle_filter.estimate import Event, PfEstimate
@@ -33,7 +34,7 @@ from polemap.localize.particle_filter.sensor_model import (
     independent_share,
     tempered,
 )
-from polemap.localize.particle_filter.start_proof import StartProof
+from polemap.localize.particle_filter.start_proof import PROVEN_SD_M, StartProof
 from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -41,6 +42,13 @@ _RESTART_SHARE = 0.75
 _FIRST_SHARE = 0.2
 _DOUBT_INTERVALS = 4.0
 _SURE_SD_M = 0.5
+# so many times more particles where the place is not known yet
+_START_FACTOR = 4
+# samples of the odometry are joined to arcs up to this length, three at 50 Hz: noise is drawn once
+# for each
+_ARC_S = 0.06
+# share of the particles that must stay effective when a sharp scan meets wide-spread particles
+_MIN_EFFECTIVE_SHARE = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,25 +76,28 @@ class ParticleFilter:
         config: LocalizeConfig,
         wheelbase_m: float,
         rng: np.random.Generator,
+        *,
+        receiver: GnssReceiver | None = None,
     ) -> None:
+        receiver = receiver or GnssReceiver(config=config.gnss)
         self._weigher = PoleWeigher(pole_map, config)
         self._landmarks = Landmarks.of(pole_map, config.p_detection)
         self._config = config
         self._rng = rng
-        self._history = OdometryHistory(config.odometry_gap_s, config.slip_rad_per_mps2)
-        self._calibration = OdometryCalibration(config)
-        self._noise = NoiseScale(config)
-        self._relocation = Relocation(pole_map, config)
-        self._averages = LikelihoodAverages(config)
-        self._lost = LostDetector(config)
-        self._fixes = GnssFixes(config)
+        self._history = OdometryHistory(config.odometry.slip_rad_per_mps2)
+        self._calibration = OdometryCalibration(config.odometry)
+        self._noise = NoiseScale(config.odometry)
+        self._relocation = Relocation(pole_map, config.recovery, receiver)
+        self._averages = LikelihoodAverages(config.recovery.explore_share_max)
+        self._lost = LostDetector(config.recovery)
+        self._fixes = FixWeights(receiver)
         self._cloud = Cloud(config, wheelbase_m, rng)
         self._stamp_s = -np.inf
         self._travelled_m = 0.0
         self._scan_evidence = 0.0
         self._used_share = 0.0
         self._explored_share = 0.0
-        self._proof = StartProof(config)
+        self._proof = StartProof(config.recovery)
         self._trusted = False
         self.counts: Counter[str] = Counter()
 
@@ -104,7 +115,7 @@ class ParticleFilter:
     def slip_rad_per_mps2(self) -> float:
         """Outward slip of the rear axle per lateral acceleration, as the cloud guesses it."""
         if not self.initialized:
-            return self._config.slip_rad_per_mps2
+            return self._config.odometry.slip_rad_per_mps2
         return self._cloud.slip_rad_per_mps2
 
     def particles(self) -> tuple[Floats, Floats]:
@@ -116,18 +127,17 @@ class ParticleFilter:
     def predict(self, odometry: OdometrySample) -> None:
         """Take in odometry; samples that are not finite or not newer are counted and dropped."""
         corrected = self._calibration.correct(odometry)
-        if not self._history.push(corrected):
+        if not self._history.append(corrected):
             self.counts["odometry_dropped"] += 1
 
-    def gnss(self, fix: GnssFix, antenna_m: Floats) -> None:
-        """Take in a fix of the antenna at `(2,)` in the vehicle frame."""
+    def add_fix(self, fix: GnssFix) -> None:
+        """Take in a fix; those that are not finite or not newer are counted and dropped."""
         values = (fix.stamp_s, fix.east_m, fix.north_m, fix.hdop)
         if not np.isfinite(values).all() or fix.stamp_s <= self._relocation.newest_fix_s:
             self.counts["gnss_dropped"] += 1
             return
-        antenna = np.asarray(antenna_m, dtype=np.float64)
-        self._relocation.add_fix(fix, antenna, self._history.dead_reckoning(fix.stamp_s))
-        self._fixes.add(fix, antenna)
+        self._relocation.add_fix(fix, self._history.odometry_pose(fix.stamp_s))
+        self._fixes.add_fix(fix)
 
     def set_pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
         """Start from a known (or believed) rear-axle pose `(3,)` with covariance `(3, 3)`."""
@@ -150,18 +160,18 @@ class ParticleFilter:
         if not np.isfinite(stamp) or stamp <= self._stamp_s:
             self.counts["scans_late"] += 1
             return None
-        reckoned = self._history.dead_reckoning(stamp)
+        reckoned = self._history.odometry_pose(stamp)
         travelled = self._history.travelled_m(stamp)
         self._relocation.add_scan(scan, reckoned, travelled)
         event: Event | None = None
         if self.initialized:
-            arcs = self._history.arcs(self._stamp_s, stamp, self._config.arc_s)
+            arcs = self._history.arcs(self._stamp_s, stamp, _ARC_S)
             self._cloud.move(arcs, self._noise.factors if self._proof.proven else np.ones(3))
             share = independent_share(
-                travelled - self._travelled_m, stamp - self._stamp_s, self._config
+                travelled - self._travelled_m, stamp - self._stamp_s, self._config.poles
             )
         else:
-            count = self._config.start_particles_factor * self._config.particles
+            count = _START_FACTOR * self._config.particles
             drawn = self._relocation.start(count, stamp, reckoned, self._rng)
             if len(drawn) == 0:
                 return None
@@ -170,7 +180,9 @@ class ParticleFilter:
         step = _Step(reckoned, travelled - self._travelled_m, stamp - self._stamp_s)
         self._stamp_s, self._travelled_m = stamp, travelled
         cloud = self._cloud
-        cloud.log_weights = self._fixes.weigh(cloud.log_weights, cloud.rear, stamp, self._history)
+        cloud.log_weights = self._fixes.weigh_by_fixes(
+            cloud.log_weights, cloud.rear, stamp, self._history
+        )
         self._weigh_scan(scan, share)
         if event is None:
             event = self._recover(scan, reckoned)
@@ -179,7 +191,7 @@ class ParticleFilter:
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
         held = self._trusted and estimate.health.matched >= 2
-        self._calibration.learn(stamp, estimate.pose, estimate.covariance, held)
+        self._calibration.learn_from_pose(stamp, estimate.pose, estimate.covariance, held)
         return estimate
 
     def _weigh_scan(self, scan: PoleScan, share: float) -> None:
@@ -192,7 +204,7 @@ class ParticleFilter:
             cloud.log_weights,
             result.log_likelihood,
             share,
-            self._config.min_effective_share * len(cloud),
+            _MIN_EFFECTIVE_SHARE * len(cloud),
         )
         weighed = mean_and_covariance(rear, cloud.weights)
         self._noise.add(expected, weighed, self._used_share, self._trusted)
@@ -255,7 +267,7 @@ class ParticleFilter:
         rear, weights = self._cloud.rear, self._cloud.weights
         mean, covariance = mean_and_covariance(rear, weights)
         major, minor = position_sd(covariance)
-        modes = modes_of(rear, weights, mean, covariance, config)
+        modes = modes_of(rear, weights, mean, covariance)
         pose, spread = mean, covariance
         if config.estimate == "best_mode" and modes:
             # also where the others are too light to count: they would still pull the mean
@@ -272,10 +284,10 @@ class ParticleFilter:
         if event in ("initialized", "reinitialized"):
             self._proof.begin()
         else:
-            narrow = len(modes) == 1 and major <= config.proven_sd_m
+            narrow = len(modes) == 1 and major <= PROVEN_SD_M
             self._prove(scan, fit, pose, step, narrow=narrow)
         settled = self._proof.proven and len(modes) == 1
-        healthy = settled and major <= config.healthy_sd_m and self._lost.fits
+        healthy = settled and major <= config.health.sd_max_m and self._lost.fits
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,

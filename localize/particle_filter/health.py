@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import RecoveryConfig
 
 # a single pole that fits, or does not, says little
 _LEAST_POSSIBLE = 1.5
 # two outliers before and after an outage are no proof
 _LEAST_FAR_FIXES = 3
+# a fix lies far away from this on, in standard deviations of both
+_FAR_SD = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ class LostDetector:
     """Lost when the cloud is wider than `lost_sd_m`, when for a while hardly a pole fits, or when
     for a while every fix lies far away."""
 
-    def __init__(self, config: LocalizeConfig) -> None:
+    def __init__(self, config: RecoveryConfig) -> None:
         self._config = config
         self._share = 1.0
         self._geometric_sd_m = 0.0
@@ -112,7 +114,7 @@ class LostDetector:
         self._last_s = stamp_s
         self._geometric_sd_m = geometric_sd_m
         if gnss_distance_sd is not None:
-            far = gnss_distance_sd > config.lost_gnss_sd
+            far = gnss_distance_sd > _FAR_SD
             self._far_fixes_s = [*self._far_fixes_s, stamp_s] if far else []
         possible = max(min(seen, expected), matched)
         if possible < _LEAST_POSSIBLE:

@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 
 # the step that the alphas are given for: odometry at 50 Hz
 REFERENCE_STEP_S = 0.02
+# what a speed may have changed by in a hole of the odometry: 4 m/s^2 for half a second
+_GAP_SPEED_MPS = 2.0
 
 
 def sample_motion(
@@ -84,6 +86,6 @@ def noise_of_arc(arc: Arc, config: LocalizeConfig) -> tuple[float, float, float]
         speed_sd = yaw_rate_sd = 0.0
     speed_sd *= rate_scale
     if arc.blind_s > 0.0:
-        # nothing was measured: the speed may have become anything within gap_speed_mps
-        speed_sd = np.hypot(speed_sd, config.gap_speed_mps * np.sqrt(arc.blind_s / arc.dt_s))
+        # nothing was measured: the speed may have become anything within that
+        speed_sd = np.hypot(speed_sd, _GAP_SPEED_MPS * np.sqrt(arc.blind_s / arc.dt_s))
     return float(speed_sd), float(yaw_rate_sd * rate_scale), float(turn_sd / rate_scale)

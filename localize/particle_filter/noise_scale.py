@@ -5,12 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import OdometryConfig
 
 Floats = NDArray[np.float64]
 
 # one shock (a pole wrongly assigned, a bump) must not decide
 _LARGEST_SQUARE = 9.0
+# the start counts as if seen in so many windows; after so many, a window counts a third
+_PRIOR_WINDOWS, MEMORY_WINDOWS = 2.0, 30.0
+# length of a window in independent scans, not in scans or seconds: longer than errors of poles last
+WINDOW = 8.0
+SCALE_MIN, SCALE_MAX = 0.2, 4.0
+"""Bounds of the factors: the best simulated odometry asks for the first, none for the second."""
 
 
 class NoiseScale:
@@ -21,16 +27,16 @@ class NoiseScale:
     If odometry is better than its alphas say, corrections are smaller; if it is worse, or errs
     always to one side, the corrections of many scans add up to more. They are summed over windows
     longer than errors of seen poles last, and the mean of C^2 / D, weighed against the alphas as if
-    these had been seen in `noise_prior_windows` windows, scales the variance of the noise.
+    these had been seen in two windows, scales the variance of the noise.
 
     Source: covariance matching of the innovations, Mehra (1972), "Approaches to adaptive
     filtering", IEEE Trans. Automatic Control 17(5), here for the state's own correction.
     """
 
-    def __init__(self, config: LocalizeConfig) -> None:
+    def __init__(self, config: OdometryConfig) -> None:
         self._config = config
-        self._sum = config.noise_prior_windows * config.noise_scale_start**2 * np.ones(3)
-        self._count = config.noise_prior_windows * np.ones(3)
+        self._sum = _PRIOR_WINDOWS * config.noise_scale_start**2 * np.ones(3)
+        self._count = _PRIOR_WINDOWS * np.ones(3)
         self._correction = np.zeros(3)
         self._expected = np.zeros(3)
         self._news = 0.0
@@ -38,11 +44,10 @@ class NoiseScale:
     @property
     def factors(self) -> Floats:
         """Factors `(3,)` on the standard deviations along, aside and of the turn."""
-        config = self._config
-        if not config.learn_noise:
+        if not self._config.learn_noise:
             return np.ones(3)
         scale = np.sqrt(self._sum / self._count)
-        return np.clip(scale, config.noise_scale_min, config.noise_scale_max)
+        return np.clip(scale, SCALE_MIN, SCALE_MAX)
 
     def add(
         self,
@@ -69,14 +74,14 @@ class NoiseScale:
         self._correction += turn @ moved
         self._expected += np.diag(turn @ (before[1] - after[1]) @ turn.T)
         self._news += news
-        if self._news >= self._config.noise_window:
+        if self._news >= WINDOW:
             self._close()
 
     def _close(self) -> None:
         known = self._expected > 0.0
         ratio = np.ones(3)
         np.divide(self._correction**2, self._expected, out=ratio, where=known)
-        memory = 1.0 - 1.0 / self._config.noise_memory_windows
+        memory = 1.0 - 1.0 / MEMORY_WINDOWS
         variance = self.factors**2
         seen = variance * np.minimum(ratio, _LARGEST_SQUARE)
         self._sum = np.where(known, memory * self._sum + seen, self._sum)

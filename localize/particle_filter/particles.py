@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.config import LocalizeConfig
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
+
+
+# poses within these of each other are one hypothesis: closer than two poles of a street stand; one
+# that holds less than a tenth of the weight is none
+_RADIUS_M, _RADIUS_RAD, _SHARE_MIN = 1.5, 0.35, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,20 +102,18 @@ def find_modes(
     return sorted(modes, key=lambda mode: -mode.share)
 
 
-def modes_of(
-    rear: Floats, weights: Floats, mean: Floats, covariance: Floats, config: LocalizeConfig
-) -> list[Mode]:
+def modes_of(rear: Floats, weights: Floats, mean: Floats, covariance: Floats) -> list[Mode]:
     """The modes of a cloud with known mean and covariance; a narrow one needs no search."""
     major, _ = position_sd(covariance)
-    narrow_m, narrow_rad = 0.4 * config.mode_radius_m, 0.4 * config.mode_radius_rad
+    narrow_m, narrow_rad = 0.4 * _RADIUS_M, 0.4 * _RADIUS_RAD
     if major < narrow_m and covariance[2, 2] < narrow_rad**2:
         return [Mode(1.0, mean, covariance)]
     return find_modes(
         rear,
         weights,
-        radius_m=config.mode_radius_m,
-        radius_rad=config.mode_radius_rad,
-        share_min=config.mode_share_min,
+        radius_m=_RADIUS_M,
+        radius_rad=_RADIUS_RAD,
+        share_min=_SHARE_MIN,
     )
 
 

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix, PoleScan
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import RecoveryConfig
 from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
+from polemap.localize.gnss.particle_weights import MAX_AGE_S
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.particle_filter.constellation import (
     Against,
     Candidates,
@@ -25,15 +27,24 @@ Verdict = Literal["confirmed", "contradicted", "open"]
 
 _MARGIN = 1.5  # by so many poles another place must explain less
 _STANDING_M = 0.2
+# a car that has driven for so long and still has no heading starts with all of them
+_START_PATIENCE_S = 5.0
+# a search costs up to 20 ms near a fix: two a second leave a core to the rest
+_INTERVAL_S = 0.5
+# how far a pole may stand from its map pole: both maps' errors and 45 m of dead reckoning
+_TOLERANCE_M = 0.6
+# least distance around a fix that is searched: a Gauss-Markov error of 2.5 m, or a bad minute
+_REACH_M = 40.0
 _NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
 
 
 class Relocation:
     """Follows GNSS and the poles of the last metres, and draws poses from both on demand."""
 
-    def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
+    def __init__(self, pole_map: PoleMap, config: RecoveryConfig, receiver: GnssReceiver) -> None:
         self._config = config
-        self._alignment = GnssAlignment(config)
+        self._receiver = receiver
+        self._alignment = GnssAlignment(receiver)
         self._memory = PoleMemory()
         self._index = ConstellationIndex(pole_map)
         self._searched_s = -np.inf
@@ -45,9 +56,9 @@ class Relocation:
         """Stamp of the newest fix, minus infinity before the first."""
         return self._alignment.newest_s
 
-    def add_fix(self, fix: GnssFix, antenna_m: Floats, reckoned: Floats) -> None:
+    def add_fix(self, fix: GnssFix, reckoned: Floats) -> None:
         """Take in a fix and the dead-reckoned pose `(3,)` of its moment."""
-        self._alignment.push(fix, antenna_m, reckoned)
+        self._alignment.add_fix(fix, reckoned)
 
     def add_scan(self, scan: PoleScan, reckoned: Floats, travelled_m: float) -> None:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
@@ -73,7 +84,7 @@ class Relocation:
             self._waited_s += since_s
         if gnss is None or not gnss.heading_known:
             sure = _stands_out(candidates, self._enough(gnss))
-            if not sure and (gnss is None or self._waited_s < self._config.start_patience_s):
+            if not sure and (gnss is None or self._waited_s < _START_PATIENCE_S):
                 return np.empty((0, 3))
         return draw_poses(count, gnss, candidates, rng)
 
@@ -95,11 +106,10 @@ class Relocation:
         self._searched_s = stamp_s
         gnss = self._gnss_pose(stamp_s, reckoned)
         candidates = self._search(reckoned, gnss, rng)
-        config = self._config
         own = self._index.judge(
             pose[np.newaxis],
             self._memory.around(reckoned),
-            config.constellation_tolerance_m,
+            _TOLERANCE_M,
             self._against(gnss),
         )
         enough, score = self._enough(gnss), float(own.score[0])
@@ -121,7 +131,7 @@ class Relocation:
 
     def rested(self, stamp_s: float, intervals: float = 1.0) -> bool:
         """Whether the last search is long enough ago for another."""
-        return stamp_s - self._searched_s >= intervals * self._config.constellation_interval_s
+        return stamp_s - self._searched_s >= intervals * _INTERVAL_S
 
     def draw(
         self, count: int, stamp_s: float, reckoned: Floats, rng: np.random.Generator
@@ -132,14 +142,13 @@ class Relocation:
         return draw_poses(count, gnss, self._search(reckoned, gnss, rng), rng)
 
     def _gnss_pose(self, stamp_s: float, reckoned: Floats) -> GnssPose | None:
-        if stamp_s - self._alignment.newest_s > self._config.gnss_max_age_s:
+        if stamp_s - self._alignment.newest_s > MAX_AGE_S:
             return None
-        return self._alignment.pose(reckoned)
+        return self._alignment.align(reckoned)
 
     def _search(
         self, reckoned: Floats, gnss: GnssPose | None, rng: np.random.Generator
     ) -> Candidates:
-        config = self._config
         points = self._memory.around(reckoned)
         # one less than a proof where a fix narrows the search: without one, chance matches abound
         least = self._enough(gnss) if gnss is None else self._enough(gnss) - 1
@@ -147,10 +156,10 @@ class Relocation:
             return _NO_CANDIDATES
         reach = np.inf
         if gnss is not None:
-            reach = max(config.constellation_reach_m, 3.0 * position_sd(gnss.covariance)[0])
+            reach = max(_REACH_M, 3.0 * position_sd(gnss.covariance)[0])
         return self._index.find(
             points,
-            tolerance_m=config.constellation_tolerance_m,
+            tolerance_m=_TOLERANCE_M,
             min_poles=least,
             rng=rng,
             centre_m=None if gnss is None else gnss.pose[:2],
@@ -161,7 +170,7 @@ class Relocation:
     def _against(self, gnss: GnssPose | None) -> Against | None:
         if gnss is None:
             return None
-        return lambda poses: gnss.misfit(poses, self._config.gnss_outlier_share)
+        return lambda poses: gnss.misfit(poses, self._receiver)
 
 
 def _stands_out(candidates: Candidates, enough: int) -> bool:

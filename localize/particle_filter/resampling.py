@@ -45,17 +45,13 @@ def jittered(values: Floats, rng: np.random.Generator) -> Floats:
 
 def particles_needed(poses: Floats, weights: Floats, config: LocalizeConfig) -> int:
     """The set number of particles, or what KLD sampling asks for where that is chosen."""
-    if not config.kld_adaptive:
+    if not config.kld.adaptive:
         return config.particles
     return kld_count(
         poses,
         weights,
-        bin_m=config.kld_bin_m,
-        bin_rad=config.kld_bin_rad,
-        error=config.kld_error,
-        quantile=config.kld_quantile,
-        least=config.kld_particles_min,
-        most=config.kld_particles_max,
+        least=config.kld.particles_min,
+        most=config.kld.particles_max,
     )
 
 
@@ -63,12 +59,12 @@ def kld_count(
     poses: Floats,
     weights: Floats,
     *,
-    bin_m: float,
-    bin_rad: float,
-    error: float,
-    quantile: float,
     least: int,
     most: int,
+    error: float = 0.05,
+    quantile: float = 2.33,
+    bin_m: float = 0.25,
+    bin_rad: float = 0.05,
 ) -> int:
     """Particles needed so that the sampled cloud stays within `error` (Kullback-Leibler
     distance) of the true one, from the number of bins of (E, N, yaw) that hold weight.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import PoleScan, VisibleRegion
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import LocalizeConfig, PolesConfig
 from polemap.localize.particle_filter.assignment import PoseLikelihoods, pole_log_likelihood
 from polemap.localize.particle_filter.particles import effective_count, normalized
 from polemap.localize.particle_filter.pole_model import Landmarks, PoleModel
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 _CELL_M = 20.0
 
 
-def default_view(config: LocalizeConfig) -> VisibleRegion:
+def default_view(config: PolesConfig) -> VisibleRegion:
     """The sector that is taken for a sensor that does not say where it looked."""
     return VisibleRegion(
         origin_vehicle_m=np.zeros(2),
@@ -56,12 +56,11 @@ class PoleWeigher:
         self._all = Landmarks.of(pole_map, config.p_detection)
         self._model = PoleModel(
             beta_p=config.beta_p,
-            width_sd_m=config.width_sd_m,
+            width_sd_m=config.poles.width_sd_m,
             clutter_per_m2=config.clutter_per_m2,
-            clutter_width_span_m=config.clutter_width_span_m,
-            position_floor_m=config.position_floor_m,
+            position_floor_m=config.poles.position_floor_m,
         )
-        self._view = default_view(config)
+        self._view = default_view(config.poles)
         self._threads = config.threads
 
     def near(self, rear_poses: Floats, scan: PoleScan) -> Landmarks:
@@ -104,7 +103,7 @@ class PoleWeigher:
         return scan.view if scan.view is not None else self._view
 
 
-def independent_share(moved_m: float, elapsed_s: float, config: LocalizeConfig) -> float:
+def independent_share(moved_m: float, elapsed_s: float, config: PolesConfig) -> float:
     """How much of a scan is news since the last one, 0 to 1.
 
     Errors of tracked stereo poles, and of the map, stay the same from one scan to the next, so n

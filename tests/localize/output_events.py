@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from polemap.localize.output_filter.filter import OutputFilter
+from polemap.localize.output_filter.noise_model import NoiseModel
 from polemap.simulate.points.drive import simulate_points
 from polemap.simulate.points.presets import POSES_IN_CITY
 from polemap.vehicle.packed import unpack
+
+CAR = NoiseModel()
 
 
 def city_drive(seed, **changes):
@@ -34,20 +37,20 @@ def events_of(drive):
 
 def give(output, kind, sample):
     if kind == 0:
-        return output.odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
+        return output.add_odometry(sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
     if kind == 1:
-        return output.pose(sample.stamp_s, sample.pose, sample.covariance)
-    return output.gnss(sample.stamp_s, sample.east_m, sample.north_m, sample.hdop)
+        return output.add_pose(sample.stamp_s, sample.pose, sample.covariance)
+    return output.add_gnss(sample.stamp_s, sample.east_m, sample.north_m, sample.hdop)
 
 
-def run(drive, config, events=None):
+def run(drive, config, events=None, noise=CAR):
     """Feed a drive and ask at 100 Hz; stamps, means (n, 7), covariances (n, 3, 3), the filter."""
-    output = OutputFilter(config)
+    output = OutputFilter(config, noise=noise)
     stamps, means, covariances, tick = [], [], [], 0
     for arrival, kind, sample in events_of(drive) if events is None else events:
         while tick / 100 < arrival:
             if output.started:
-                state = output.at(tick / 100)
+                state = output.predicted_to(tick / 100)
                 stamps.append(tick / 100)
                 means.append(state.mean)
                 covariances.append(unpack(state.upper)[:3, :3])
@@ -56,9 +59,9 @@ def run(drive, config, events=None):
     return np.array(stamps), np.array(means), np.array(covariances), output
 
 
-def started_with_odometry(config, seconds=2.0, speed=10.0):
-    output = OutputFilter(config)
-    output.pose(0.0, np.array([0.0, 0.0, 0.0]), np.diag([0.01, 0.01, 1e-4]))
+def started_with_odometry(config, seconds=2.0, speed=10.0, noise=CAR):
+    output = OutputFilter(config, noise=noise)
+    output.add_pose(0.0, np.array([0.0, 0.0, 0.0]), np.diag([0.01, 0.01, 1e-4]))
     for step in range(1, round(seconds * 50) + 1):
-        output.odometry(step * 0.02, speed, 0.0)
+        output.add_odometry(step * 0.02, speed, 0.0)
     return output

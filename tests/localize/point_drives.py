@@ -33,15 +33,13 @@ def street_drive(seed: int, duration_s: float = 20.0) -> PointDrive:
     return replace(made, drive=noted)
 
 
-def play(
-    particle_filter: ParticleFilter, samples: Iterable[Sample], antenna_m: np.ndarray | None = None
-) -> list[PfEstimate]:
+def play(particle_filter: ParticleFilter, samples: Iterable[Sample]) -> list[PfEstimate]:
     estimates = []
     for sample in samples:
         if isinstance(sample, OdometrySample):
             particle_filter.predict(sample)
         elif isinstance(sample, GnssFix):
-            particle_filter.gnss(sample, np.zeros(2) if antenna_m is None else antenna_m)
+            particle_filter.add_fix(sample)
         elif isinstance(sample, PoleScan):
             estimate = particle_filter.update(sample)
             if estimate is not None:

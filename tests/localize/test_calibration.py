@@ -7,7 +7,7 @@ import pytest
 
 from polemap.drivelog.samples import OdometrySample
 from polemap.localize.calibration import OdometryCalibration
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import OdometryConfig
 from polemap.vehicle.motion import move_along_arc
 
 
@@ -43,11 +43,11 @@ def drive(
         calibration.correct(OdometrySample(t, t, measured_speed, measured))
         if k % 5 == 4:
             seen = pose + rng.normal(0, [pose_sd, pose_sd, 0.003])
-            calibration.learn(t, seen, covariance, trusted=True)
+            calibration.learn_from_pose(t, seen, covariance, trusted=True)
 
 
 def test_the_offset_is_learned_at_standstill() -> None:
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     last = stand(calibration, 0.004, 20.0, np.random.default_rng(0))
     # half of 20 s at 50 Hz counts, and the white noise that is assumed is 0.005 rad/s
     assert calibration.correction.yaw_rate_offset_radps == pytest.approx(
@@ -57,7 +57,7 @@ def test_the_offset_is_learned_at_standstill() -> None:
 
 
 def test_a_turntable_is_no_standstill() -> None:
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     stand(calibration, 0.3, 20.0, np.random.default_rng(0))
     assert calibration.correction.yaw_rate_offset_radps == 0.0
     rng = np.random.default_rng(1)
@@ -67,7 +67,7 @@ def test_a_turntable_is_no_standstill() -> None:
 
 
 def test_short_stops_teach_nothing() -> None:
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     for k in range(2000):
         speed = 0.0 if k % 75 < 50 else 2.0  # one second of standstill at a time
         calibration.correct(OdometrySample(0.02 * k, 0.02 * k, speed, 0.01))
@@ -76,7 +76,7 @@ def test_short_stops_teach_nothing() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_scale_and_curvature_are_learned_on_the_way(seed: int) -> None:
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     drive(calibration, np.random.default_rng(seed), scale=1.03, curvature=0.0015)
     assert calibration.correction.speed_scale == pytest.approx(0.03, abs=0.006)
     corrected = calibration.correct(OdometrySample(301.0, 301.0, 8.0, 0.0))
@@ -85,7 +85,7 @@ def test_scale_and_curvature_are_learned_on_the_way(seed: int) -> None:
 
 
 def test_right_odometry_stays_as_it_is() -> None:
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     drive(calibration, np.random.default_rng(5))
     corrected = calibration.correct(OdometrySample(301.0, 301.0, 8.0, 0.05))
     assert corrected.speed_mps == pytest.approx(8.0, rel=0.006)
@@ -94,26 +94,30 @@ def test_right_odometry_stays_as_it_is() -> None:
 
 def test_late_and_doubled_samples_are_not_counted_twice() -> None:
     """A car at 10 m/s whose odometry is right; one sample in 25 comes again, after its next."""
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     for k in range(5000):
         t = 0.02 * k
         for stamp in (t, t - 0.02) if k % 25 == 24 else (t,):
             calibration.correct(OdometrySample(stamp, t, 10.0, 0.0))
-        calibration.learn(t, np.array([10.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=True)
+        calibration.learn_from_pose(
+            t, np.array([10.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=True
+        )
     assert calibration.correction.speed_scale == pytest.approx(0.0, abs=1e-6)
 
 
 def test_poses_that_no_pole_holds_teach_nothing() -> None:
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     for k in range(5000):
         t = 0.02 * k
         calibration.correct(OdometrySample(t, t, 10.0, 0.0))
-        calibration.learn(t, np.array([20.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=False)
+        calibration.learn_from_pose(
+            t, np.array([20.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=False
+        )
     assert calibration.correction.speed_scale == 0.0
 
 
 def test_learning_can_be_switched_off() -> None:
-    calibration = OdometryCalibration(LocalizeConfig(learn_offsets=False))
+    calibration = OdometryCalibration(OdometryConfig(learn_offsets=False))
     drive(calibration, np.random.default_rng(0), seconds=60.0, scale=1.1)
     sample = OdometrySample(61.0, 61.0, 8.0, 0.05)
     assert calibration.correct(sample) == sample
@@ -121,7 +125,7 @@ def test_learning_can_be_switched_off() -> None:
 
 def test_poses_of_late_scans_belong_to_their_own_moment() -> None:
     """A car that speeds up and brakes; its scans come 0.2 s after their pictures were taken."""
-    calibration = OdometryCalibration(LocalizeConfig())
+    calibration = OdometryCalibration(OdometryConfig())
     late = 10
     way = [0.0]
     for k in range(10_000):
@@ -131,6 +135,6 @@ def test_poses_of_late_scans_belong_to_their_own_moment() -> None:
         way.append(way[-1] + 0.02 * speed)
         if k > late:
             pose = np.array([way[k - late], 0.0, 0.0])
-            calibration.learn(t - 0.02 * late, pose, np.eye(3) * 1e-4, trusted=True)
+            calibration.learn_from_pose(t - 0.02 * late, pose, np.eye(3) * 1e-4, trusted=True)
     # summed over a wrong 0.2 s, stretches of 20 m would be up to a metre too long or too short
     assert calibration.correction.speed_scale == pytest.approx(0.0, abs=1e-3)

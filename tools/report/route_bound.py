@@ -46,7 +46,7 @@ def route_bound(result: RouteResult) -> RouteBound | None:
     errors_of = "the drive's own sensor"
     if sensor is None:
         errors_of = "a camera of {} px and {} m".format(*DEFAULT_CAMERA)
-        view = default_view(settings.localize)
+        view = default_view(settings.localize.poles)
         sensor = camera_sensor(view, *DEFAULT_CAMERA, detection, p_detection)
     bound = localizability(poles, recording.guide.poses, sensor, step_m=STEP_M, prior_sd=PRIOR_SD)
     return RouteBound(bound, float(sensor.view.free_range_m.max()), errors_of)

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.samples import GnssFix
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import GnssConfig
 from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.vehicle.pose import wrap_angle
+
+RECEIVER = GnssReceiver((1.2, 0.3))
 
 
 def drive_and_fix(
@@ -38,9 +41,8 @@ def drive_and_fix(
         fix = antenna + lasting + rng.normal(0, 0.3, 2)
         if k in outliers:
             fix = fix + rng.choice([-1.0, 1.0], 2) * rng.uniform(80, 200, 2)
-        align.push(
+        align.add_fix(
             GnssFix(float(k), float(k), float(fix[0]), float(fix[1]), 1.0),
-            np.array([1.2, 0.3]),
             reckoned.copy(),
         )
     return reckoned, true
@@ -51,10 +53,10 @@ def test_alignment_finds_position_and_heading(outliers: tuple[int, ...]) -> None
     errors = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        align = GnssAlignment(LocalizeConfig())
+        align = GnssAlignment(RECEIVER)
         pose0 = np.array([*rng.uniform(-50, 50, 2), rng.uniform(-np.pi, np.pi)])
         reckoned, true = drive_and_fix(align, pose0, 2.5, rng, outliers=outliers)
-        found = align.pose(reckoned)
+        found = align.align(reckoned)
         assert found is not None
         assert found.heading_known
         error = found.pose - true
@@ -71,22 +73,22 @@ def test_alignment_finds_position_and_heading(outliers: tuple[int, ...]) -> None
 
 def test_alignment_follows_a_car_that_was_moved() -> None:
     rng = np.random.default_rng(0)
-    align = GnssAlignment(LocalizeConfig())
+    align = GnssAlignment(RECEIVER)
     reckoned, true = drive_and_fix(align, np.zeros(3), 0.0, rng, jump=(26, 50.0))
     # three fixes of one second each lie beyond the jump, within the last two seconds
-    found = align.pose(reckoned)
+    found = align.align(reckoned)
     assert found is not None
     assert np.hypot(*(found.pose[:2] - true[:2])) < 5.0
 
 
 def test_a_standing_car_has_no_heading() -> None:
-    align = GnssAlignment(LocalizeConfig())
+    align = GnssAlignment(RECEIVER)
     rng = np.random.default_rng(0)
-    assert align.pose(np.zeros(3)) is None
+    assert align.align(np.zeros(3)) is None
     for k in range(20):
         e, n = rng.normal(0, 0.3, 2)
-        align.push(GnssFix(float(k), float(k), 10 + e, 20 + n, 1.0), np.zeros(2), np.zeros(3))
-    found = align.pose(np.zeros(3))
+        align.add_fix(GnssFix(float(k), float(k), 10 + e, 20 + n, 1.0), np.zeros(3))
+    found = align.align(np.zeros(3))
     assert found is not None
     assert not found.heading_known
     assert np.hypot(found.pose[0] - 10, found.pose[1] - 20) < 1.0
@@ -99,11 +101,11 @@ def test_what_gnss_says_against_a_pose() -> None:
     at = np.array([[100.0, 50.0, 3.1], [102.0, 50.0, 3.1], [100.0, 53.0, 3.1], [100.0, 50.0, -3.1]])
     turned = wrap_angle(np.array(6.2))
     expected = [0.0, 0.5, 0.5, 0.5 * float(turned) ** 2 / 0.01]
-    said = gnss.misfit(at, 1e-6)
+    said = gnss.misfit(at, GnssReceiver(config=GnssConfig(outlier_share=1e-6)))
     np.testing.assert_allclose(said - said[0], expected, atol=1e-4)
     # a receiver may be wrong altogether: a kilometre says no more than a hundred metres, nearly
-    far = gnss.misfit(np.array([[140.0, 50.0, 3.1], [160.0, 50.0, 3.1]]), 0.1)
+    far = gnss.misfit(np.array([[140.0, 50.0, 3.1], [160.0, 50.0, 3.1]]), RECEIVER)
     assert 6.0 < far[0] < far[1] < 10.0
     # and says nothing of a heading that it does not know
     blind = GnssPose(gnss.pose, gnss.covariance, False)
-    assert blind.misfit(np.array([[100.0, 50.0, 0.0]]), 0.1) == blind.misfit(at[:1], 0.1)
+    assert blind.misfit(np.array([[100.0, 50.0, 0.0]]), RECEIVER) == blind.misfit(at[:1], RECEIVER)

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.gnss.start import GnssStart
 from polemap.vehicle.motion import move_along_arc
 from polemap.vehicle.pose import wrap_angle
@@ -11,17 +12,17 @@ from polemap.vehicle.pose import wrap_angle
 def drive(start, antenna, *, noise_m, seed=0, seconds=40, speed=5.0, rate=0.05, outlier=None):
     """True rear-axle poses, and what the start says at each fix."""
     rng = np.random.default_rng(seed)
-    found = GnssStart(np.array(antenna), yaw_sd_max_rad=0.2)
+    found = GnssStart(GnssReceiver(tuple(antenna)), yaw_sd_max_rad=0.2)
     pose, answers = np.array(start, dtype=float), []
     for step in range(seconds * 10):
-        found.odometry(step * 0.1, speed, rate)
+        found.add_odometry(step * 0.1, speed, rate)
         if step % 10 == 0:
             c, s = math.cos(pose[2]), math.sin(pose[2])
             x = pose[0] + c * antenna[0] - s * antenna[1] + rng.normal(0, noise_m)
             y = pose[1] + s * antenna[0] + c * antenna[1] + rng.normal(0, noise_m)
             if outlier == step:
                 x += 100.0
-            answers.append((pose.copy(), found.fix(step * 0.1, x, y, max(noise_m, 0.5))))
+            answers.append((pose.copy(), found.add_fix(step * 0.1, x, y, max(noise_m, 0.5))))
         pose = move_along_arc(pose, speed * 0.1, rate * 0.1)
     return answers
 

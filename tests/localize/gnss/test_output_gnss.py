@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from polemap.localize.gnss.start import START_YAW_SD_RAD
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.filter import OutputFilter
 from polemap.vehicle.pose import wrap_angle
@@ -24,7 +25,7 @@ def test_gnss_starts_the_filter_once_the_heading_shows(seed):
     true = drive.motion.at(stamps)
     # at the start the heading is known to the configured sd, the position to that of GNSS
     assert abs(wrap_angle(means[0, 2] - true[0, 2])) < 4 * math.sqrt(covariances[0, 2, 2])
-    assert math.sqrt(covariances[0, 2, 2]) <= OutputConfig().start_yaw_sd_rad + 0.01
+    assert math.sqrt(covariances[0, 2, 2]) <= START_YAW_SD_RAD + 0.01
     assert np.hypot(*(means[:, :2] - true[:, :2]).T).max() < 4 * 2.5 * 1.5
     assert output.newest.counts.gnss_accepted > 5
 
@@ -36,10 +37,10 @@ def test_the_first_pose_that_fits_takes_over_from_gnss():
         give(output, kind, sample)
     stamp = output.newest.stamp_s
     wrong = drive.motion.at(stamp)[0, :3] + [40.0, 0.0, math.pi]
-    output.pose(stamp + 0.01, wrong, np.diag([0.01, 0.01, 1e-4]))
+    output.add_pose(stamp + 0.01, wrong, np.diag([0.01, 0.01, 1e-4]))
     assert output.newest.decision == "ignored"
     true = drive.motion.at(stamp)[0, :3]
-    output.pose(stamp + 0.02, true, np.diag([0.01, 0.01, 1e-4]))
+    output.add_pose(stamp + 0.02, true, np.diag([0.01, 0.01, 1e-4]))
     assert output.newest.decision == "started"
     assert output.newest.counts.takeovers == 1
     assert np.allclose(output.newest.mean[:2], true[:2], atol=0.01)
@@ -48,7 +49,8 @@ def test_the_first_pose_that_fits_takes_over_from_gnss():
 def test_a_filter_that_gnss_contradicts_for_long_starts_anew():
     drive, events = gnss_drive(6)
     output = OutputFilter(OutputConfig())
-    output.pose(0.0, drive.motion.at(0.0)[0, :3] + [200.0, 0.0, 2.0], np.diag([0.01, 0.01, 1e-4]))
+    wrong = drive.motion.at(0.0)[0, :3] + [200.0, 0.0, 2.0]
+    output.add_pose(0.0, wrong, np.diag([0.01, 0.01, 1e-4]))
     for _, kind, sample in events:
         give(output, kind, sample)
     assert output.newest.counts.gnss_restarts == 1

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from polemap.evaluation.metrics import nees
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
+from polemap.localize.output_filter.noise_model import NoiseModel
 from polemap.localize.output_filter.state import FilterState
 from polemap.simulate.points.drive import ODOMETRY
 from polemap.simulate.points.motion import WhiteAccelerations
@@ -27,7 +28,8 @@ from tests.localize.output_events import (
     started_with_odometry,
 )
 
-PLAIN = OutputConfig(gate=False, pose_errors="independent", pose_floor_m=0.0, pose_floor_rad=0.0)
+PLAIN = OutputConfig(gate=False, pose_errors="independent")
+NO_FLOOR = NoiseModel(pose_floor_m=0.0, pose_floor_rad=0.0)
 START = np.diag([0.04, 0.04, 0.01])
 
 
@@ -56,7 +58,7 @@ def test_any_arrival_order_within_the_horizon_gives_the_in_order_result(seed, ga
     start, rest = ordered[first], ordered[first + 1 :]
     outputs = []
     for order in (range(len(rest)), rng.permutation(len(rest))):
-        output = OutputFilter(config)
+        output = OutputFilter(config, noise=NO_FLOOR)
         give(output, *start)
         for i in order:
             assert give(output, *rest[i]) in (Placement.APPENDED, Placement.REPLAYED)
@@ -64,13 +66,13 @@ def test_any_arrival_order_within_the_horizon_gives_the_in_order_result(seed, ga
     same(outputs[0].newest, outputs[1].newest, 1e-9)
     assert outputs[0].newest.counts == outputs[1].newest.counts
     for stamp in np.linspace(start[1].stamp_s, 1.2, 20):
-        decisions, distances = zip(*(one.verdict_at(stamp) for one in outputs), strict=True)
+        decisions, distances = zip(*(one.decision_at(stamp) for one in outputs), strict=True)
         assert decisions[0] == decisions[1]
         assert distances[0] == pytest.approx(distances[1], rel=1e-6, nan_ok=True)
-        same(outputs[0].at(stamp), outputs[1].at(stamp), 1e-9)
+        same(outputs[0].predicted_to(stamp), outputs[1].predicted_to(stamp), 1e-9)
 
 
-def batch_oracle(states, events, config):
+def batch_oracle(states, events, config, model):
     """All states at once by weighted least squares on the filter's own linearisation.
 
     An independent way to the same estimate: no gain, no recursion, one sparse-shaped system.
@@ -87,8 +89,8 @@ def batch_oracle(states, events, config):
         values.append(white @ value)
 
     add([(0, np.eye(7))], np.array(states[0].mean), unpack(states[0].upper))
-    qa = 2 * config.acceleration_mps2**2 * config.acceleration_time_s
-    qw = 2 * config.yaw_acceleration_radps2**2 * config.yaw_acceleration_time_s
+    qa = 2 * model.acceleration_mps2**2 * model.acceleration_time_s
+    qw = 2 * model.yaw_acceleration_radps2**2 * model.yaw_acceleration_time_s
     for k in range(1, n):
         before = np.array(states[k - 1].mean)
         dt = states[k].stamp_s - states[k - 1].stamp_s
@@ -98,19 +100,19 @@ def batch_oracle(states, events, config):
         else:
             transition, noise = np.eye(7), np.zeros((7, 7))
             transition[:5, :5] = ctrv_jacobian(before[:5], dt)
-            slip = 2 * config.slip_rad_per_mps2**2 * config.slip_time_s
-            lasting = 2 * config.odometry_error_time_s
+            slip = 2 * model.slip_rad_per_mps2**2 * model.slip_time_s
+            lasting = 2 * model.odometry_error_time_s
             noise[:5, :5] = ctrv_process_noise(
                 before[:5],
                 dt,
                 acceleration_m2ps3=qa,
                 yaw_acceleration_rad2ps3=qw,
                 lateral_m2ps=slip * (before[3] ** 2 * before[4]) ** 2,
-                along_m2ps=lasting * (config.speed_error_share * before[3]) ** 2,
-                yaw_rad2ps=lasting * config.yaw_rate_error_radps**2 * min(1.0, before[3] ** 2),
+                along_m2ps=lasting * (model.speed_error_share * before[3]) ** 2,
+                yaw_rad2ps=lasting * model.yaw_rate_error_radps**2 * min(1.0, before[3] ** 2),
             )
-            noise[5, 5] = config.speed_scale_walk**2 * dt
-            noise[6, 6] = config.yaw_rate_offset_walk_radps**2 * dt
+            noise[5, 5] = model.speed_scale_walk**2 * dt
+            noise[6, 6] = model.yaw_rate_offset_walk_radps**2 * dt
             moved = np.concatenate([ctrv_step(before[:5], dt), before[5:]])
             # the filter's yaw is wrapped, the line is not
             moved[2] = before[2] + before[4] * dt
@@ -142,7 +144,7 @@ def test_the_filter_equals_batch_least_squares_on_its_linearisation(seed):
         key=lambda event: (event[1].stamp_s, event[0]),
     )
     first = next(i for i, (kind, _) in enumerate(events) if kind == 1)
-    output = OutputFilter(PLAIN)
+    output = OutputFilter(PLAIN, noise=NO_FLOOR)
     for kind, sample in events[: first + 1]:
         give(output, kind, sample)
     states = [output.newest]
@@ -150,26 +152,25 @@ def test_the_filter_equals_batch_least_squares_on_its_linearisation(seed):
     for kind, sample in rest:
         give(output, kind, sample)
         states.append(output.newest)
-    mean, covariance = batch_oracle(states, rest, PLAIN)
+    mean, covariance = batch_oracle(states, rest, PLAIN, NO_FLOOR)
     difference = mean - np.array(output.newest.mean)
     difference[2] = wrap_angle(difference[2])
     assert np.abs(difference).max() < 1e-6
     assert np.abs(covariance - unpack(output.newest.upper)).max() < 1e-6
 
 
-MATCHED = PLAIN.model_copy(
-    update={
-        "acceleration_mps2": 1.0,
-        "yaw_acceleration_radps2": 0.1,
-        "slip_rad_per_mps2": 0.0,
-        "speed_error_share": 0.0,
-        "yaw_rate_error_radps": 0.0,
-        "speed_scale_sd": 0.01,
-        "speed_scale_walk": 0.0,
-        "yaw_rate_offset_sd_radps": 0.001,
-        "yaw_rate_offset_walk_radps": 0.0,
-        "yaw_rate_sd_radps": 0.002,
-    }
+MATCHED = PLAIN.model_copy(update={"yaw_rate_sd_radps": 0.002})
+MATCHED_NOISE = replace(
+    NO_FLOOR,
+    acceleration_mps2=1.0,
+    yaw_acceleration_radps2=0.1,
+    slip_rad_per_mps2=0.0,
+    speed_error_share=0.0,
+    yaw_rate_error_radps=0.0,
+    speed_scale_sd=0.01,
+    speed_scale_walk=0.0,
+    yaw_rate_offset_sd_radps=0.001,
+    yaw_rate_offset_walk_radps=0.0,
 )
 DENSITIES = (2 * 1.0**2 * 0.5, 2 * 0.1**2 * 0.3)
 
@@ -184,7 +185,7 @@ def test_with_matched_noise_the_filter_is_consistent():
     means = []
     for seed in range(20):
         drive = city_drive(seed, duration_s=12.0, motion=WhiteAccelerations(20.0, *DENSITIES))
-        stamps, states, covariances, _ = run(drive, MATCHED)
+        stamps, states, covariances, _ = run(drive, MATCHED, noise=MATCHED_NOISE)
         late = stamps > 2.0
         true = drive.motion.at(stamps[late])
         means.append(nees(states[late, :3], true, covariances[late]).mean() / 3.0)
@@ -197,7 +198,7 @@ def test_late_poses_cost_little_and_ignoring_their_delay_costs_much():
     rms = {}
     for name, latency in (("late", 0.11), ("at once", 1e-6)):
         drive = city_drive(4, duration_s=20.0, pose_source=PoseSource(latency_s=latency))
-        stamps, means, _, _ = run(drive, config)
+        stamps, means, _, _ = run(drive, config, noise=NO_FLOOR)
         keep = stamps > 5.0
         error = means[keep, :2] - drive.motion.at(stamps[keep])[:, :2]
         rms[name] = math.sqrt((error**2).sum(axis=1).mean())
@@ -205,7 +206,7 @@ def test_late_poses_cost_little_and_ignoring_their_delay_costs_much():
     ignored = [
         (a, kind, replace(s, stamp_s=a) if kind == 1 else s) for a, kind, s in events_of(drive)
     ]
-    stamps, means, _, _ = run(drive, config, ignored)
+    stamps, means, _, _ = run(drive, config, ignored, noise=NO_FLOOR)
     keep = stamps > 5.0
     error = means[keep, :2] - drive.motion.at(stamps[keep])[:, :2]
     rms["ignored"] = math.sqrt((error**2).sum(axis=1).mean())
@@ -220,7 +221,9 @@ def test_what_is_wrong_with_the_odometry_is_found():
     wrong = replace(
         stream, speed_mps=1.03 * stream.speed_mps, yaw_rate_radps=stream.yaw_rate_radps + 0.004
     )
-    _, _, _, output = run(replace(drive, drive=replace(drive.drive, odometry=wrong)), PLAIN)
+    _, _, _, output = run(
+        replace(drive, drive=replace(drive.drive, odometry=wrong)), PLAIN, noise=NO_FLOOR
+    )
     state = output.newest
     covariance = unpack(state.upper)
     bias = np.mean(wrong.yaw_rate_radps) - drive.motion.states[:, 4].mean()
@@ -231,10 +234,10 @@ def test_what_is_wrong_with_the_odometry_is_found():
 
 def test_standing_still_learns_the_gyro_offset_and_does_not_turn():
     output = OutputFilter(OutputConfig())
-    output.pose(0.0, np.array([1.0, 2.0, 0.5]), START)
+    output.add_pose(0.0, np.array([1.0, 2.0, 0.5]), START)
     rng = np.random.default_rng(1)
     for step in range(1, 1500):
-        output.odometry(step * 0.02, 0.0, 0.004 + rng.normal(0.0, 0.002))
+        output.add_odometry(step * 0.02, 0.0, 0.004 + rng.normal(0.0, 0.002))
     state = output.newest
     assert np.allclose(state.mean[:3], [1.0, 2.0, 0.5], atol=2e-3)
     assert state.mean[6] == pytest.approx(0.004, abs=4e-4)
@@ -244,22 +247,22 @@ def test_standing_still_learns_the_gyro_offset_and_does_not_turn():
 def test_a_pose_older_than_the_horizon_is_dropped_and_changes_nothing():
     output = started_with_odometry(OutputConfig(horizon_s=0.5))
     before = output.newest
-    assert output.pose(1.4, np.zeros(3), START) is Placement.TOO_OLD
+    assert output.add_pose(1.4, np.zeros(3), START) is Placement.TOO_OLD
     assert output.newest is before
 
 
 def test_odometry_before_the_first_pose_is_not_lost():
     output = OutputFilter(OutputConfig())
     for step in range(50):
-        output.odometry(step * 0.02, 10.0, 0.1)
-    output.pose(0.9, np.zeros(3), START)
+        output.add_odometry(step * 0.02, 10.0, 0.1)
+    output.add_pose(0.9, np.zeros(3), START)
     assert output.newest.stamp_s == pytest.approx(0.98)
     assert output.newest.mean[0] == pytest.approx(0.8, abs=0.01)
 
 
 def test_use_before_a_start_is_refused():
     with pytest.raises(VehicleError, match="holds no state"):
-        OutputFilter(OutputConfig()).at(1.0)
+        OutputFilter(OutputConfig()).predicted_to(1.0)
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.limiter import OutputLimiter
+from polemap.localize.output_filter.limiter import CORRECTION_MPS, CORRECTION_RADPS, OutputLimiter
 from polemap.localize.output_filter.state import Counts, FilterState
 from polemap.vehicle.packed import pack
-
-CONFIG = OutputConfig(correction_mps=1.0, correction_radps=0.5)
 
 
 def state(stamp, x=0.0, y=0.0, yaw=0.0, speed=10.0, **changes):
@@ -17,53 +14,53 @@ def state(stamp, x=0.0, y=0.0, yaw=0.0, speed=10.0, **changes):
 
 
 def test_without_corrections_the_output_is_the_filters_pose():
-    limiter = OutputLimiter(CONFIG)
+    limiter = OutputLimiter()
     for tick in range(50):
-        answer = limiter.next(state(tick / 100, x=10.0 * tick / 100))
+        answer = limiter.limit(state(tick / 100, x=10.0 * tick / 100))
         assert answer.pose == pytest.approx((10.0 * tick / 100, 0.0, 0.0), abs=1e-9)
         assert answer.flag == ("started" if tick == 0 else "")
         assert np.allclose(answer.covariance, 0.01 * np.eye(3), atol=1e-12)
 
 
 def test_a_correction_is_spread_over_ticks_and_owned_up_to():
-    limiter = OutputLimiter(CONFIG)
-    limiter.next(state(0.0))
+    limiter = OutputLimiter()
+    limiter.limit(state(0.0))
     poses = []
     for tick in range(1, 60):
-        answer = limiter.next(state(tick / 100, x=0.1 * tick, y=0.3, yaw=0.1))
+        answer = limiter.limit(state(tick / 100, x=0.1 * tick, y=0.3, yaw=0.1))
         poses.append(answer.pose)
         rest = np.array([0.1 * tick, 0.3, 0.1]) - answer.pose
         assert np.allclose(answer.covariance, 0.01 * np.eye(3) + np.outer(rest, rest))
     lateral = np.array(poses)[:, 1]
     yaw = np.array(poses)[:, 2]
     # carried along the heading, plus at most the allowed correction
-    assert np.abs(np.diff(lateral)).max() <= 0.01 + 0.1 * math.sin(0.1) + 1e-9
-    assert np.abs(np.diff(yaw)).max() <= 0.005 + 1e-9
+    assert np.abs(np.diff(lateral)).max() <= CORRECTION_MPS / 100 + 0.1 * math.sin(0.1) + 1e-9
+    assert np.abs(np.diff(yaw)).max() <= CORRECTION_RADPS / 100 + 1e-9
     assert lateral[-1] == pytest.approx(0.3, abs=1e-9)
     assert yaw[-1] == pytest.approx(0.1, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["reinitializations", "takeovers", "gnss_restarts"])
 def test_a_declared_jump_is_taken_at_once_and_flagged(kind):
-    limiter = OutputLimiter(CONFIG)
-    limiter.next(state(0.0))
-    answer = limiter.next(state(0.01, x=0.1, y=5.0, counts=Counts(**{kind: 1})))
+    limiter = OutputLimiter()
+    limiter.limit(state(0.0))
+    answer = limiter.limit(state(0.01, x=0.1, y=5.0, counts=Counts(**{kind: 1})))
     assert answer.flag == "reinitialized"
     assert answer.pose[1] == 5.0
     assert answer.jump_m == pytest.approx(5.0)
-    following = limiter.next(state(0.02, x=0.2, y=5.0, counts=Counts(**{kind: 1})))
+    following = limiter.limit(state(0.02, x=0.2, y=5.0, counts=Counts(**{kind: 1})))
     assert following.flag == ""
 
 
 def test_the_correction_goes_the_short_way_round():
-    limiter = OutputLimiter(CONFIG)
-    limiter.next(state(0.0, yaw=math.pi - 0.001))
-    answer = limiter.next(state(0.01, x=-0.1, yaw=-math.pi + 0.001))
+    limiter = OutputLimiter()
+    limiter.limit(state(0.0, yaw=math.pi - 0.001))
+    answer = limiter.limit(state(0.01, x=-0.1, yaw=-math.pi + 0.001))
     assert abs(abs(answer.pose[2]) - math.pi) < 0.0011
 
 
 def test_asking_without_the_limit_leaves_the_limiter_alone():
-    limiter = OutputLimiter(CONFIG)
-    limiter.next(state(0.0))
+    limiter = OutputLimiter()
+    limiter.limit(state(0.0))
     assert limiter.unlimited(state(0.5, y=9.0)).pose[1] == 9.0
     assert limiter.last_stamp_s == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import KldConfig, LocalizeConfig, RecoveryConfig
 from polemap.localize.particle_filter.assignment import PoseLikelihoods
 from polemap.localize.particle_filter.exploration import (
     LikelihoodAverages,
@@ -29,7 +29,7 @@ def feed(lost: LostDetector, start_s: float, seconds: float, **values: float) ->
 
 
 def test_matching_poles_are_well() -> None:
-    lost = LostDetector(LocalizeConfig())
+    lost = LostDetector(RecoveryConfig())
     feed(lost, 0, 20, gnss_distance_sd=1.0)
     assert not lost.lost
     assert lost.fits
@@ -37,7 +37,7 @@ def test_matching_poles_are_well() -> None:
 
 
 def test_a_wide_cloud_is_lost_at_once() -> None:
-    lost = LostDetector(LocalizeConfig())
+    lost = LostDetector(RecoveryConfig())
     feed(lost, 0, 0.1, geometric_sd_m=15.1)
     assert lost.lost
     assert lost.scattered
@@ -46,7 +46,7 @@ def test_a_wide_cloud_is_lost_at_once() -> None:
 
 
 def test_poles_that_do_not_fit_are_given_some_time() -> None:
-    lost = LostDetector(LocalizeConfig())
+    lost = LostDetector(RecoveryConfig())
     feed(lost, 0, 10)
     feed(lost, 10, 2.5, matched=0)
     assert not lost.lost
@@ -57,14 +57,14 @@ def test_poles_that_do_not_fit_are_given_some_time() -> None:
 
 
 def test_a_street_without_poles_is_not_being_lost() -> None:
-    lost = LostDetector(LocalizeConfig())
+    lost = LostDetector(RecoveryConfig())
     feed(lost, 0, 60, matched=0, seen=6, expected=0.0)
     feed(lost, 60, 60, matched=0, seen=0, expected=5.0)
     assert not lost.lost
 
 
 def test_fixes_far_away_are_believed_when_they_persist() -> None:
-    lost = LostDetector(LocalizeConfig())
+    lost = LostDetector(RecoveryConfig())
     # two outliers around an outage of a minute
     lost.update(0.0, 4, 5, 4.0, 0.1, 40.0)
     lost.update(60.0, 4, 5, 4.0, 0.1, 40.0)
@@ -100,8 +100,7 @@ def test_quality_is_the_kth_root_times_the_matched_share() -> None:
 
 
 def test_exploration_starts_when_the_quality_falls_and_ends_when_it_returns() -> None:
-    config = LocalizeConfig()
-    averages = LikelihoodAverages(config)
+    averages = LikelihoodAverages(0.2)
     assert averages.share == 0.0
     t = 0.0
     for _ in range(400):
@@ -112,7 +111,7 @@ def test_exploration_starts_when_the_quality_falls_and_ends_when_it_returns() ->
         t += 0.05
         averages.update(t, Quality(0.02, 4.0))
     assert averages.share > 0.05
-    assert averages.share <= config.explore_share_max
+    assert averages.share <= 0.2
     for _ in range(60):
         t += 0.05
         averages.update(t, Quality(0.4, 4.0))
@@ -122,7 +121,7 @@ def test_exploration_starts_when_the_quality_falls_and_ends_when_it_returns() ->
 
 
 def test_scans_that_could_not_match_do_not_call_for_exploration() -> None:
-    averages = LikelihoodAverages(LocalizeConfig())
+    averages = LikelihoodAverages(0.2)
     for k in range(100):
         averages.update(0.05 * k, Quality(0.4, 4.0))
     for k in range(400):
@@ -131,10 +130,8 @@ def test_scans_that_could_not_match_do_not_call_for_exploration() -> None:
 
 
 def test_settings_are_checked() -> None:
-    with pytest.raises(ValidationError, match="kld_particles_min 500 is above"):
-        LocalizeConfig(kld_particles_min=500, kld_particles_max=100)
-    with pytest.raises(ValidationError, match=r"likelihood_long_s 0\.5 must be above"):
-        LocalizeConfig(likelihood_long_s=0.5)
+    with pytest.raises(ValidationError, match="particles_min 500 is above particles_max 100"):
+        KldConfig(particles_min=500, particles_max=100)
     with pytest.raises(ValidationError, match="p_detection"):
         LocalizeConfig(p_detection=1.0)
     with pytest.raises(ValidationError, match="Extra inputs"):

@@ -22,9 +22,9 @@ SILENT = LocalizeConfig(
 
 
 def circle(speed: float, yaw_rate: float, hz: float, until_s: float) -> OdometryHistory:
-    history = OdometryHistory(0.5)
+    history = OdometryHistory()
     for k in range(int(until_s * hz) + 1):
-        assert history.push(OdometrySample(k / hz, k / hz, speed, yaw_rate))
+        assert history.append(OdometrySample(k / hz, k / hz, speed, yaw_rate))
     return history
 
 
@@ -50,10 +50,10 @@ def test_the_rear_axle_slips_outward_as_much_as_each_particle_thinks() -> None:
     aside = (moved[1] - moved[0])[:2] @ np.array([-np.sin(0.43), np.cos(0.43)])
     # a left turn at 2.4 m/s^2 carries it to the right: 1.6 m of way by 0.0144 rad
     assert aside == pytest.approx(-1.6 * 0.006 * 8.0 * 0.3, rel=1e-3)
-    history = OdometryHistory(0.5, slip_rad_per_mps2=0.006)
+    history = OdometryHistory(slip_rad_per_mps2=0.006)
     for k in range(3):
-        history.push(OdometrySample(0.1 * k, 0.1 * k, 8.0, 0.3))
-    reckoned = history.dead_reckoning(0.2)
+        history.append(OdometrySample(0.1 * k, 0.1 * k, 8.0, 0.3))
+    reckoned = history.odometry_pose(0.2)
     rear = moved[1, :2] - 2.7 * np.array([np.cos(moved[1, 2]), np.sin(moved[1, 2])])
     begin = start[1, :2] - 2.7 * np.array([np.cos(0.4), np.sin(0.4)])
     assert np.hypot(*reckoned[:2]) == pytest.approx(np.hypot(*(rear - begin)), rel=1e-9)
@@ -100,9 +100,9 @@ def test_a_gap_of_the_odometry_widens_the_cloud() -> None:
     known = noise_of_arc(Arc(0.5, 8.0, 0.0, 0.0), config)[0]
     blind = noise_of_arc(Arc(0.5, 8.0, 0.0, 0.5), config)[0]
     assert blind > known + 1.0
-    history = OdometryHistory(0.5)
+    history = OdometryHistory()
     for stamp in (0.0, 0.1, 2.1, 2.2):
-        history.push(OdometrySample(stamp, stamp, 8.0, 0.0))
+        history.append(OdometrySample(stamp, stamp, 8.0, 0.0))
     assert sum(arc.blind_s for arc in history.arcs(0.0, 2.2, 10.0)) == pytest.approx(1.5)
     assert sum(arc.blind_s for arc in history.arcs(0.0, 0.1, 10.0)) == 0.0
     # beyond the newest sample its value holds as long as a gap may be, then it is blind
@@ -120,7 +120,7 @@ def test_arcs_between_any_two_stamps_are_exact_on_a_circle() -> None:
         np.testing.assert_allclose(
             moved, [30 * np.sin(turn), 30 * (1 - np.cos(turn)), turn], atol=1e-9
         )
-        a, b = history.dead_reckoning(start), history.dead_reckoning(end)
+        a, b = history.odometry_pose(start), history.odometry_pose(end)
         assert b[2] - a[2] == pytest.approx(turn)
         assert np.hypot(*(b - a)[:2]) == pytest.approx(np.hypot(*moved[:2]), abs=1e-9)
         assert history.travelled_m(end) - history.travelled_m(start) == pytest.approx(
@@ -131,19 +131,19 @@ def test_arcs_between_any_two_stamps_are_exact_on_a_circle() -> None:
 
 def test_samples_that_cannot_be_used_are_refused() -> None:
     history = circle(1.0, 0.0, 10.0, 1.0)
-    assert not history.push(OdometrySample(0.95, 1.1, 1.0, 0.0))
-    assert not history.push(OdometrySample(1.0, 1.1, 1.0, 0.0))
-    assert not history.push(OdometrySample(1.2, 1.2, float("nan"), 0.0))
-    assert not history.push(OdometrySample(float("inf"), 1.2, 1.0, 0.0))
-    assert history.push(OdometrySample(1.1, 1.1, 1.0, 0.0))
-    empty = OdometryHistory(0.5)
+    assert not history.append(OdometrySample(0.95, 1.1, 1.0, 0.0))
+    assert not history.append(OdometrySample(1.0, 1.1, 1.0, 0.0))
+    assert not history.append(OdometrySample(1.2, 1.2, float("nan"), 0.0))
+    assert not history.append(OdometrySample(float("inf"), 1.2, 1.0, 0.0))
+    assert history.append(OdometrySample(1.1, 1.1, 1.0, 0.0))
+    empty = OdometryHistory()
     assert empty.rates_at(3.0) == (0.0, 0.0)
-    np.testing.assert_array_equal(empty.dead_reckoning(3.0), np.zeros(3))
+    np.testing.assert_array_equal(empty.odometry_pose(3.0), np.zeros(3))
     assert empty.arcs(0.0, 1.0, 1.0)[0].speed_mps == 0.0
 
 
 def test_old_samples_are_forgotten_without_a_jump() -> None:
     history = circle(5.0, 0.0, 20.0, 400.0)
     assert len(history) < 200 * 20
-    step = history.dead_reckoning(400.0) - history.dead_reckoning(350.0)
+    step = history.odometry_pose(400.0) - history.odometry_pose(350.0)
     np.testing.assert_allclose(step, [250.0, 0.0, 0.0], atol=1e-6)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polemap.localize.config import LocalizeConfig
-from polemap.localize.particle_filter.noise_scale import NoiseScale
+from polemap.localize.config import OdometryConfig
+from polemap.localize.particle_filter.noise_scale import MEMORY_WINDOWS, WINDOW, NoiseScale
 
 NOISE_SD = np.array([0.10, 0.06, 0.006])  # of one step, as the alphas have it
 SCAN_SD = np.array([0.15, 0.12, 0.01])
 NEWS = 0.5
 
 
-def drive(true_factors: np.ndarray, config: LocalizeConfig, *, seed: int, steps: int) -> NoiseScale:
+def drive(true_factors: np.ndarray, config: OdometryConfig, *, seed: int, steps: int) -> NoiseScale:
     """A Kalman filter along, aside and in yaw of a car that heads north-east."""
     rng = np.random.default_rng(seed)
     scale = NoiseScale(config)
@@ -42,36 +42,36 @@ def drive(true_factors: np.ndarray, config: LocalizeConfig, *, seed: int, steps:
 def test_the_true_noise_is_learned_for_each_direction(
     true_factors: tuple[float, float, float],
 ) -> None:
-    config = LocalizeConfig()
-    steps = round(120 * config.noise_window / NEWS)
+    config = OdometryConfig()
+    steps = round(120 * WINDOW / NEWS)
     learned = [
         drive(np.array(true_factors), config, seed=seed, steps=steps).factors for seed in range(8)
     ]
     # a mean of C^2 over the memory of 30 windows scatters by sqrt(2 / 30), a root of it by half
-    expected = np.sqrt(1.0 / (2.0 * config.noise_memory_windows) / len(learned))
+    expected = np.sqrt(1.0 / (2.0 * MEMORY_WINDOWS) / len(learned))
     assert np.mean(learned, axis=0) == pytest.approx(true_factors, rel=5.0 * expected)
 
 
 def test_it_starts_from_the_setting_and_can_be_switched_off() -> None:
-    assert NoiseScale(LocalizeConfig(noise_scale_start=0.7)).factors == pytest.approx(0.7)
-    off = drive(np.full(3, 3.0), LocalizeConfig(learn_noise=False), seed=0, steps=200)
+    assert NoiseScale(OdometryConfig(noise_scale_start=0.7)).factors == pytest.approx(0.7)
+    off = drive(np.full(3, 3.0), OdometryConfig(learn_noise=False), seed=0, steps=200)
     assert off.factors.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_what_poles_do_not_hold_says_nothing() -> None:
-    config = LocalizeConfig()
+    config = OdometryConfig()
     scale = NoiseScale(config)
     small, large = np.diag([0.01, 0.01, 1e-4]), np.diag([0.02, 0.02, 2e-4])
     for trusted in [True] * 7 + [False]:
         # the eighth part of a window's news: it would close at the eighth trusted scan
         jump = np.array([5.0, 0.0, 0.0])
-        scale.add((np.zeros(3), large), (jump, small), config.noise_window / 8, trusted=trusted)
+        scale.add((np.zeros(3), large), (jump, small), WINDOW / 8, trusted=trusted)
     assert scale.factors == pytest.approx(config.noise_scale_start)
 
 
 def test_one_shock_does_not_decide() -> None:
-    config = LocalizeConfig(noise_scale_start=1.0)
+    config = OdometryConfig(noise_scale_start=1.0)
     scale = NoiseScale(config)
     small, large = np.diag([0.01, 0.01, 1e-4]), np.diag([0.02, 0.02, 2e-4])
-    scale.add((np.zeros(3), large), (np.full(3, 50.0), small), config.noise_window, trusted=True)
+    scale.add((np.zeros(3), large), (np.full(3, 50.0), small), WINDOW, trusted=True)
     assert 1.0 < scale.factors.max() <= 2.0

@@ -13,7 +13,8 @@ from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import KldConfig, LocalizeConfig, OdometryConfig
+from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.simulate.points.drive import WHEELBASE_M, simulate_points
@@ -68,7 +69,10 @@ def test_late_scans_are_placed_exactly_and_older_ones_counted() -> None:
         ]
         samples.sort(key=lambda s: (s.arrival_s, s.stamp_s))
         particle_filter = ParticleFilter(
-            drive.pole_map, LocalizeConfig(learn_offsets=False), 2.7, np.random.default_rng(0)
+            drive.pole_map,
+            LocalizeConfig(odometry=OdometryConfig(learn_offsets=False)),
+            2.7,
+            np.random.default_rng(0),
         )
         particle_filter.set_pose(0.0, start, np.eye(3) * 0.01)
         return play(particle_filter, samples)
@@ -127,7 +131,7 @@ def test_the_cloud_learns_how_far_the_car_slips() -> None:
 
 def test_adaptive_particle_count_falls_once_the_car_is_found() -> None:
     drive = simulate_points(replace(SHORT, duration_s=10.0), np.random.default_rng(1))
-    estimates = run(drive, 0, LocalizeConfig(kld_adaptive=True))
+    estimates = run(drive, 0, LocalizeConfig(kld=KldConfig(adaptive=True)))
     counts = [e.health.particles for e in estimates]
     assert counts[0] > 1000
     assert min(counts) >= 50
@@ -145,11 +149,16 @@ def test_victoria_park_in_a_map_of_its_first_part(recording: Callable[[str], Pat
     assert test.reference is not None
     until_s = test.scans[0].stamp_s + 160.0
     samples = [s for s in test.samples() if s.stamp_s < until_s]
+    forward, left = test.gnss_antenna_m.tolist()
     for seed in (0, 1):
         particle_filter = ParticleFilter(
-            world, LocalizeConfig(), test.wheelbase_m, np.random.default_rng(seed)
+            world,
+            LocalizeConfig(),
+            test.wheelbase_m,
+            np.random.default_rng(seed),
+            receiver=GnssReceiver((forward, left)),
         )
-        estimates = play(particle_filter, samples, test.gnss_antenna_m)
+        estimates = play(particle_filter, samples)
         stamps = np.array([e.stamp_s for e in estimates])
         reference = test.reference.at(stamps)
         near = np.array([len(world.within(p[:2], 30.0)) >= 3 for p in reference])

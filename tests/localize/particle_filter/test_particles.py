@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import KldConfig, LocalizeConfig
 from polemap.localize.particle_filter.particles import (
     effective_count,
     find_modes,
@@ -72,14 +72,13 @@ def test_two_modes_are_found_and_neither_is_their_middle() -> None:
     np.testing.assert_allclose(modes[0].mean, [0, 0, 3.1], atol=0.05)
     np.testing.assert_allclose(modes[1].mean, [12, 5, -1.0], atol=0.1)
     mean, covariance = mean_and_covariance(poses, weights)
-    assert len(modes_of(poses, weights, mean, covariance, LocalizeConfig())) == 2
+    assert len(modes_of(poses, weights, mean, covariance)) == 2
     assert (
         len(
             modes_of(
                 first,
                 weights[:700] / 0.7,
                 *mean_and_covariance(first, weights[:700] / 0.7),
-                LocalizeConfig(),
             )
         )
         == 1
@@ -142,4 +141,4 @@ def test_kld_count_is_the_wilson_hilferty_quantile() -> None:
 def test_particle_count_is_fixed_unless_adaptive() -> None:
     poses, weights = np.zeros((10, 3)), np.full(10, 0.1)
     assert particles_needed(poses, weights, LocalizeConfig(particles=700)) == 700
-    assert particles_needed(poses, weights, LocalizeConfig(kld_adaptive=True)) == 50
+    assert particles_needed(poses, weights, LocalizeConfig(kld=KldConfig(adaptive=True))) == 50

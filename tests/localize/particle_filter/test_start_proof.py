@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import RecoveryConfig
 from polemap.localize.particle_filter.relocation import Verdict
 from polemap.localize.particle_filter.start_proof import StartProof
 
@@ -24,7 +24,7 @@ def feed(
 
 
 def test_a_constellation_proves_a_narrow_cloud_only() -> None:
-    proof = StartProof(LocalizeConfig())
+    proof = StartProof(RecoveryConfig())
     feed(proof, 5, "confirmed", narrow=False)
     assert not proof.proven
     feed(proof, 1, "confirmed")
@@ -36,13 +36,13 @@ def test_a_constellation_proves_a_narrow_cloud_only() -> None:
 
 
 def test_one_pole_beside_a_standing_car_proves_nothing() -> None:
-    proof = StartProof(LocalizeConfig())
+    proof = StartProof(RecoveryConfig())
     feed(proof, 1000, moved_m=0.0)
     assert not proof.proven
 
 
 def test_poles_found_where_expected_prove_in_time() -> None:
-    proof = StartProof(LocalizeConfig(proven_after_m=25.0))
+    proof = StartProof(RecoveryConfig())
     feed(proof, 24)
     # a street without poles in reach neither proves nor disproves
     feed(proof, 100, matched=0, possible=0.0)
@@ -53,7 +53,7 @@ def test_poles_found_where_expected_prove_in_time() -> None:
 
 @pytest.mark.parametrize("doubt", ["missing", "wide"])
 def test_what_was_gained_is_lost_again(doubt: str) -> None:
-    proof = StartProof(LocalizeConfig(proven_after_m=25.0))
+    proof = StartProof(RecoveryConfig())
     feed(proof, 24)
     if doubt == "missing":
         feed(proof, 10, matched=0)
@@ -67,7 +67,7 @@ def test_what_was_gained_is_lost_again(doubt: str) -> None:
 
 
 def test_a_contradiction_holds_until_the_next_scan_and_belief_ends_it() -> None:
-    proof = StartProof(LocalizeConfig())
+    proof = StartProof(RecoveryConfig())
     feed(proof, 1, "contradicted", narrow=False)
     assert proof.contradicted
     feed(proof, 1)
@@ -79,7 +79,7 @@ def test_a_contradiction_holds_until_the_next_scan_and_belief_ends_it() -> None:
 
 
 def test_a_proven_place_where_hardly_a_pole_fits_is_in_doubt() -> None:
-    proof = StartProof(LocalizeConfig())
+    proof = StartProof(RecoveryConfig())
     proof.believe()
     for _ in range(200):
         proof.see(matched=1, seen=2, elapsed_s=0.05)
