@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import Image, PoleScan, Sample, StereoFrame
@@ -78,6 +79,7 @@ class Drive:
         laps: named parts.
         notes: what a reader of a result must know about the input (derived sensors, say).
         problems: counts of bad input that was left out, by kind.
+        findings: what the reader itself saw in the input that cannot be right.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Drive:
     laps: tuple[Lap, ...] = ()
     notes: tuple[str, ...] = ()
     problems: Mapping[str, int] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     @property
     def has_frames(self) -> bool:

@@ -154,7 +154,7 @@ def sorted_by_stamp(table: Table, *, duplicates: str) -> Table:
         row = int(back[0]) + 1
         raise InputError(
             f"{table.path}, line {table.lines[row]}: stamp_s {stamps[row]:.6f} after "
-            f"{stamps[row - 1]:.6f}; sort the rows by stamp_s"
+            f"{stamps[row - 1]:.6f}; sort the rows by stamp_s, or delete a row without a clock"
         )
     equal = np.flatnonzero(step == 0)
     if not len(equal) or duplicates == "allow":

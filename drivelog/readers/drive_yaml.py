@@ -20,7 +20,7 @@ class _Part(BaseModel):
 class VehiclePart(_Part):
     """The car."""
 
-    wheelbase_m: float = Field(gt=0.5, lt=20.0, allow_inf_nan=False)
+    wheelbase_m: float = Field(gt=0.0, allow_inf_nan=False)
 
 
 class MountingPart(_Part):

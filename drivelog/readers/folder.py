@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive, Lap
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
 from polemap.drivelog.images import ImagePairs
 from polemap.drivelog.readers.drive_yaml import CameraPart, read_drive_yaml
 from polemap.drivelog.readers.poles import read_scans
+from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from polemap.drivelog.tables import Table, read_table, sorted_by_stamp
+from polemap.drivelog.tables import Table, read_table
 from polemap.stereo.rig import Mounting, StereoRig
 from polemap.vehicle.pose import wrap_angle
 
@@ -43,9 +45,10 @@ class FolderReader:
         except InputError as error:
             raise InputError(f"{folder / 'drive.yaml'}: {error}") from error
         problems: Counter[str] = Counter()
+        findings: list[Finding] = []
         rig = _rig(head.camera) if head.camera else None
-        frames = _frames(folder, rig)
-        scans, view_note = read_scans(folder, head.pole_detector, problems)
+        frames = _frames(folder, rig, findings)
+        scans, view_note = read_scans(folder, head.pole_detector, problems, findings)
         notes = list(head.notes)
         notes += [f"drive.yaml: unknown key '{key}' is ignored" for key in head.unknown_keys()]
         notes += [view_note] if view_note else []
@@ -61,13 +64,14 @@ class FolderReader:
             frame_arrivals_s=frames[1],
             frame_numbers=np.arange(len(frames[0]), dtype=np.int64),
             images=frames[2],
-            odometry=_odometry(folder, problems),
-            gnss=_gnss(folder, frame, problems),
-            reference=_reference(folder, problems),
+            odometry=_odometry(folder, problems, findings),
+            gnss=_gnss(folder, frame, problems, findings),
+            reference=_reference(folder, problems, findings),
             scans=scans,
-            laps=_laps(folder),
+            laps=_laps(folder, findings),
             notes=tuple(notes),
             problems=dict(problems),
+            findings=tuple(findings),
         )
 
 
@@ -107,13 +111,19 @@ def arrivals(table: Table, problems: Counter[str]) -> Floats:
 
 
 def _sensor(
-    path: Path, columns: tuple[str, ...], optional: tuple[str, ...], problems: Counter[str]
+    path: Path,
+    columns: tuple[str, ...],
+    optional: tuple[str, ...],
+    problems: Counter[str],
+    findings: list[Finding],
 ) -> Table:
     table = read_table(path, ("stamp_s", *columns), optional=optional)
-    return count_problems(sorted_by_stamp(table, duplicates="drop"), problems)
+    return count_problems(in_order(table, findings, duplicates="drop"), problems)
 
 
-def _frames(folder: Path, rig: StereoRig | None) -> tuple[Floats, Floats, ImagePairs | None]:
+def _frames(
+    folder: Path, rig: StereoRig | None, findings: list[Finding]
+) -> tuple[Floats, Floats, ImagePairs | None]:
     path = folder / "frames.csv"
     if not path.is_file():
         return np.empty(0), np.empty(0), None
@@ -123,7 +133,7 @@ def _frames(folder: Path, rig: StereoRig | None) -> tuple[Floats, Floats, ImageP
     table = read_table(
         path, ("stamp_s",), optional=("arrival_s",), texts=("left", "right"), drop_not_finite=False
     )
-    table = sorted_by_stamp(table, duplicates="error")
+    table = in_order(table, findings, duplicates="error")
     pairs = tuple(
         (_inside(folder, left, path), _inside(folder, right, path))
         for left, right in zip(table.texts["left"], table.texts["right"], strict=True)
@@ -141,22 +151,26 @@ def _inside(folder: Path, text: object, index: Path) -> Path:
     return path
 
 
-def _odometry(folder: Path, problems: Counter[str]) -> OdometryStream | None:
+def _odometry(
+    folder: Path, problems: Counter[str], findings: list[Finding]
+) -> OdometryStream | None:
     path = folder / "odometry.csv"
     if not path.is_file():
         return None
-    table = _sensor(path, ("speed_mps", "yaw_rate_radps"), ("arrival_s",), problems)
+    table = _sensor(path, ("speed_mps", "yaw_rate_radps"), ("arrival_s",), problems, findings)
     return OdometryStream(
         table["stamp_s"], arrivals(table, problems), table["speed_mps"], table["yaw_rate_radps"]
     )
 
 
-def _gnss(folder: Path, frame: EarthFrame, problems: Counter[str]) -> GnssStream | None:
+def _gnss(
+    folder: Path, frame: EarthFrame, problems: Counter[str], findings: list[Finding]
+) -> GnssStream | None:
     path = folder / "gnss.csv"
     if not path.is_file():
         return None
     if frame.is_utm:
-        table = _sensor(path, ("latitude_deg", "longitude_deg"), ("hdop", "arrival_s"), problems)
+        table = _sensor(path, ("latitude_deg", "longitude_deg"), ("hdop", "arrival_s"), problems, findings)
         latitude, longitude = table["latitude_deg"], table["longitude_deg"]
         bad = np.flatnonzero((np.abs(latitude) > 90) | (np.abs(longitude) > 180))
         if len(bad):
@@ -167,9 +181,12 @@ def _gnss(folder: Path, frame: EarthFrame, problems: Counter[str]) -> GnssStream
             )
         points = grid_from_geographic(frame, latitude, longitude)
     else:
-        table = _sensor(path, ("east_m", "north_m"), ("hdop", "arrival_s"), problems)
+        table = _sensor(path, ("east_m", "north_m"), ("hdop", "arrival_s"), problems, findings)
         points = np.stack([table["east_m"], table["north_m"]], axis=1)
     hdop = table["hdop"] if "hdop" in table else np.ones(len(table))
+    unusable = int(np.count_nonzero(~(np.isfinite(hdop) & (hdop > 0))))
+    if unusable:
+        problems["gnss_hdop_unusable"] += unusable
     return GnssStream(
         table["stamp_s"],
         arrivals(table, problems),
@@ -179,21 +196,24 @@ def _gnss(folder: Path, frame: EarthFrame, problems: Counter[str]) -> GnssStream
     )
 
 
-def _reference(folder: Path, problems: Counter[str]) -> ReferenceStream | None:
+def _reference(
+    folder: Path, problems: Counter[str], findings: list[Finding]
+) -> ReferenceStream | None:
     path = folder / "reference.csv"
     if not path.is_file():
         return None
-    table = _sensor(path, ("east_m", "north_m", "yaw_rad"), ("sd_m",), problems)
+    table = _sensor(path, ("east_m", "north_m", "yaw_rad"), ("sd_m",), problems, findings)
     poses = np.stack([table["east_m"], table["north_m"], wrap_angle(table["yaw_rad"])], axis=1)
     sd = table["sd_m"] if "sd_m" in table else np.full(len(table), np.nan)
     return ReferenceStream(table["stamp_s"], poses, sd)
 
 
-def _laps(folder: Path) -> tuple[Lap, ...]:
+def _laps(folder: Path, findings: list[Finding]) -> tuple[Lap, ...]:
     path = folder / "laps.csv"
     if not path.is_file():
         return ()
     table = read_table(path, ("start_s", "end_s"), texts=("lap",), drop_not_finite=False)
+    table = in_seconds(table, findings, "start_s")
     laps = []
     for row, name in enumerate(table.texts["lap"]):
         start, end = float(table["start_s"][row]), float(table["end_s"][row])

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.readers.drive_yaml import DetectorPart
+from polemap.drivelog.findings import Finding
 from polemap.drivelog.samples import PoleScan, VisibleRegion
-from polemap.drivelog.tables import Table, read_table, sorted_by_stamp
+from polemap.drivelog.stamps import in_order
+from polemap.drivelog.tables import Table, read_table
 
 Floats = NDArray[np.float64]
 
@@ -20,7 +22,10 @@ _FEW = 200  # fewer poles than this do not show the outline of a sensor's view
 
 
 def read_scans(
-    folder: Path, detector: DetectorPart | None, problems: Counter[str]
+    folder: Path,
+    detector: DetectorPart | None,
+    problems: Counter[str],
+    findings: list[Finding],
 ) -> tuple[tuple[PoleScan, ...], str | None]:
     """All scans of a folder, and a note where their view had to be estimated.
 
@@ -35,10 +40,10 @@ def read_scans(
         return (), None
     looks = np.empty(0)
     if scans_path.is_file():
-        table = sorted_by_stamp(read_table(scans_path, ("stamp_s",)), duplicates="drop")
+        table = in_order(read_table(scans_path, ("stamp_s",)), findings, duplicates="drop")
         _count(table, problems)
         looks = table["stamp_s"]
-    poles = _read_poles(poles_path, problems) if poles_path.is_file() else None
+    poles = _read_poles(poles_path, problems, findings) if poles_path.is_file() else None
     stamps = np.unique(np.concatenate([looks, poles["stamp_s"]])) if poles else looks
     if poles and len(looks):
         unlisted = len(stamps) - len(looks)
@@ -53,9 +58,9 @@ def _count(table: Table, problems: Counter[str]) -> None:
         problems[f"{table.path.stem}_{reason}"] += count
 
 
-def _read_poles(path: Path, problems: Counter[str]) -> Table:
+def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> Table:
     table = read_table(path, _COLUMNS, optional=("width_m", "arrival_s", "probability"))
-    table = sorted_by_stamp(table, duplicates="allow")
+    table = in_order(table, findings, duplicates="allow")
     var_x, var_y = table["var_x_m2"], table["var_y_m2"]
     positive = (var_x > 0) & (var_y > 0) & (var_x * var_y > table["cov_xy_m2"] ** 2)
     table = table.keep(positive, "covariance_not_positive")

@@ -1,0 +1,127 @@
+"""The whole of the plausibility check of a drive, theme by theme."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.findings import Finding, worst_first
+from polemap.drivelog.plausibility import absolute, motion, places, poles, reference, time
+from polemap.drivelog.plausibility.odometer import (
+    Odometer,
+    of_gnss,
+    of_odometry,
+    of_places,
+    of_reference,
+)
+
+
+def check_drive(drive: Drive) -> list[Finding]:
+    """What in a drive cannot be right, errors first.
+
+    Streams are held against each other: what they agree on is believed, and where two of three
+    agree the third is named. With nothing to compare with, limits of what cars and cameras do
+    remain. Nothing is read but what `drive` holds; `pictures` looks at the images.
+    """
+    found = list(drive.findings)
+    found += time.rate_findings(drive) + time.overlap_findings(drive)
+    found += time.gap_findings(drive) + time.lap_findings(drive)
+    found += absolute.duplicate_findings(drive) + absolute.vehicle_findings(drive)
+    found += absolute.camera_findings(drive)
+    found += absolute.gnss_findings(drive) + absolute.pole_findings(drive)
+    found += places.zone_findings(drive) or places.distance_findings(drive)
+    found += _motion(drive)
+    return worst_first(_once(found))
+
+
+def _motion(drive: Drive) -> list[Finding]:
+    """Odometry, reference, fixes and poles as four tellers of one motion."""
+    odometry = _moving(of_odometry(drive.odometry)) if drive.odometry is not None else None
+    gnss = _moving(of_gnss(drive.gnss)) if drive.gnss is not None else None
+    posed = drive.reference is not None and len(drive.reference) > 5
+    yawed = of_reference(drive.reference) if posed and drive.reference is not None else None
+    found = reference.range_findings(drive)
+    turn_ratio = float("nan")
+    if odometry is not None and yawed is not None:
+        turn_ratio = motion.find_scales(odometry, yawed).turn
+    trusted = yawed
+    if posed and drive.reference is not None:
+        chords = reference.find_chords(drive.reference)
+        if chords is not None:
+            yaw_found = reference.yaw_findings(drive, chords, turn_ratio)
+            found += yaw_found or reference.lever_findings(drive, chords)
+            if yaw_found:
+                # the yaw is wrong: the positions alone still tell way and turn
+                stamps, points = drive.reference.stamp_s, drive.reference.poses[:, :2]
+                trusted = of_places("reference.csv", stamps, points, 1.0)
+            mirrored = any(f.kind == "reference_axes" for f in yaw_found + found)
+            trusted = yawed if mirrored else trusted
+    trusted = _moving(trusted)
+    offset = time.find_offset(
+        odometry, trusted, gnss, lambda a, b: poles.contradicted(drive, a, b)
+    )
+    if offset is not None:
+        found.append(offset.finding())
+    posed_well = trusted is yawed and trusted is not None
+    odometry, trusted, gnss = (time.shifted(track, offset) for track in (odometry, trusted, gnss))
+    if posed_well and odometry is not None and trusted is not None and not found:
+        found += reference.across_findings(odometry, trusted)
+    found += _scales(odometry, trusted, gnss)
+    if not any(f.stream == "odometry.csv" and f.severity == "error" for f in found):
+        found += absolute.odometry_findings(drive)
+    teller = trusted if posed_well else odometry
+    if teller is not None:
+        agreed = odometry is not None and (trusted is not None or gnss is not None)
+        found += poles.motion_findings(drive, teller, confirmed=agreed)
+    return found
+
+
+def _scales(
+    odometry: Odometer | None, trusted: Odometer | None, gnss: Odometer | None
+) -> list[Finding]:
+    """Scales of speed and turn; fixes tell whether odometry or reference is off."""
+    found = []
+    if odometry is None:
+        if trusted is not None and gnss is not None:
+            scales = motion.find_scales(trusted, gnss)
+            found += motion.speed_findings("reference.csv", scales, "gnss.csv", noisy=True)
+        return found
+    judge = trusted if trusted is not None else gnss
+    if judge is None:
+        return []
+    noisy = judge is gnss or judge.smooth_s > 1.0
+    scales = motion.find_scales(odometry, judge)
+    if noisy:
+        # fixes turn by their noise: the bends are chosen by the odometry
+        turns = motion.find_scales(judge, odometry).turn
+        turn = 1.0 / turns if turns else float("nan")
+        scales = motion.Scales(scales.speed, turn, scales.speed_spans, scales.turn_spans)
+    alike = bool(scales.speed > 30.0 and abs(scales.turn / scales.speed - 1.0) < 0.2)
+    stream, against = "odometry.csv", judge.name
+    if gnss is not None and judge is not gnss and np.isfinite(scales.speed):
+        other = motion.find_scales(odometry, gnss)
+        off = abs(np.log(np.abs(scales.speed))) > 0.3
+        if off and np.isfinite(other.speed) and 0.7 < other.speed < 1.4:
+            stream, against = "reference.csv", "odometry.csv and gnss.csv"
+            inverse = motion.Scales(1.0 / scales.speed, scales.turn, scales.speed_spans, 0)
+            return motion.speed_findings(stream, inverse, against, noisy=False)
+    found += motion.speed_findings(stream, scales, against, noisy=noisy, turn_alike=alike)
+    if not alike:
+        found += motion.turn_findings(stream, scales, against, noisy=noisy)
+    return found
+
+
+def _moving(track: Odometer | None) -> Odometer | None:
+    """The track if it holds enough to say anything."""
+    return track if track is not None and len(track) >= 4 else None
+
+
+def _once(findings: list[Finding]) -> list[Finding]:
+    seen = set()
+    kept = []
+    for finding in findings:
+        key = (finding.kind, finding.stream)
+        if key not in seen:
+            seen.add(key)
+            kept.append(finding)
+    return kept

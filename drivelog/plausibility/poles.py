@@ -1,0 +1,219 @@
+"""Poles stand still: how they move from scan to scan must be the motion that another stream tells.
+
+A pair of scans a second apart is moved onto each other by the motion in between, as it is told and
+as it would be with a mistake (a sign, a unit, a clock that is off). The mistake that brings the
+poles together where the motion as told does not, is the finding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.findings import Finding
+from polemap.drivelog.plausibility.odometer import Odometer
+from polemap.drivelog.samples import PoleScan
+from polemap.vehicle.motion import sinc
+
+Floats = NDArray[np.float64]
+
+_APART_S, _APART_MAX_S = 0.8, 1.6
+_PAIRS_MAX = 240
+_POLES_MAX = 40
+_FLOOR_M2, _VARIANCE_MAX_M2 = 0.15**2, 4.0
+# how much better than the motion as told a mistake must agree: standard deviations, and ratio
+_BETTER_SDS, _BETTER_RATIO = 5.0, 1.25
+_LAG_SDS, _LAG_RATIO = 5.0, 1.08
+LAGS_S = (-2.0, -1.5, -1.0, -0.7, -0.5, -0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)  # fmt: skip
+_LAG_DOUBT_S, _LAG_WRONG_S = 0.15, 0.6
+_FEW = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    kind: str
+    text: str
+    way: float = 1.0
+    turn: float = 1.0
+    exchanged: bool = False
+
+
+AS_TOLD = Mistake("", "")
+MISTAKES = (
+    Mistake("pole_turn", "turn to the other side", turn=-1.0),
+    Mistake("pole_direction", "move the other way", way=-1.0),
+    Mistake("pole_direction", "move the other way and turn to the other side", way=-1.0, turn=-1.0),
+    Mistake("pole_axes", "fit with x_m and y_m exchanged", exchanged=True),
+    Mistake("pole_speed", "fit a speed 3.6 times smaller (km/h)", way=1 / 3.6),
+    Mistake("pole_speed", "fit a speed 3.6 times larger", way=3.6),
+    Mistake("pole_speed", "fit a speed 2.24 times smaller (mph)", way=0.44704),
+    Mistake("pole_speed", "fit a speed 2.24 times larger", way=1 / 0.44704),
+    Mistake("pole_speed", "fit a speed 1.61 times smaller", way=0.621371),
+    Mistake("pole_speed", "fit a speed 1.61 times larger", way=1.609344),
+    Mistake("pole_speed", "fit a speed 100 times smaller (cm/s)", way=0.01),
+    Mistake("pole_speed", "fit a speed 1000 times smaller (mm/s)", way=0.001),
+    Mistake("pole_speed", "fit a speed 3.28 times larger (poles in feet)", way=1 / 0.3048),
+    Mistake("pole_speed", "fit a speed 3.28 times smaller (ft/s)", way=0.3048),
+    Mistake("pole_turn_unit", "fit a yaw rate in degrees", turn=np.pi / 180.0),
+    Mistake("pole_turn_unit", "fit a yaw rate 57.3 times larger", turn=180.0 / np.pi),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPairs:
+    """Pairs of scans `apart` in time, thinned to a handful over the drive."""
+
+    first: tuple[PoleScan, ...]
+    second: tuple[PoleScan, ...]
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+def find_pairs(drive: Drive, motion: Odometer) -> ScanPairs:
+    """Pairs of scans with poles, the ones in which the car turns first."""
+    scans = [scan for scan in drive.scans if 0 < len(scan)]
+    if len(scans) < 2:
+        return ScanPairs((), ())
+    stamps = np.array([scan.stamp_s for scan in scans])
+    later = np.searchsorted(stamps, stamps + _APART_S)
+    usable = later < len(scans)
+    first = np.flatnonzero(usable)
+    later = later[usable]
+    apart = stamps[later] - stamps[first]
+    way, turn, known = motion.spans(stamps[first], stamps[later])
+    keep = known & (apart <= _APART_MAX_S)
+    first, later, way, turn = first[keep], later[keep], way[keep], turn[keep]
+    if len(first) > _PAIRS_MAX:
+        # half of them where the motion is largest, half spread evenly over the drive
+        size = np.abs(turn) / (np.abs(turn).mean() + 1e-9)
+        large = np.argsort(-size, kind="stable")[: len(first) // 2]
+        chosen = np.concatenate([
+            large[:: max(1, len(large) // (_PAIRS_MAX // 2))][: _PAIRS_MAX // 2],
+            np.linspace(0, len(first) - 1, _PAIRS_MAX // 2).astype(np.int64),
+        ])  # fmt: skip
+        chosen = np.unique(chosen)
+        first, later = first[chosen], later[chosen]
+    return ScanPairs(tuple(scans[i] for i in first), tuple(scans[i] for i in later))
+
+
+def agreement(
+    pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float = 0.0
+) -> Floats:
+    """How well the moved poles of each pair meet poles of the later scan: `(pairs,)`.
+
+    The sum over the poles of exp(-d^2 / 2), with d the distance to the nearest pole in standard
+    deviations of both: clutter and poles that leave the view add nothing, whatever the motion.
+    NaN where the motion is not known.
+    """
+    from_s = np.array([scan.stamp_s for scan in pairs.first]) + lag_s
+    to_s = np.array([scan.stamp_s for scan in pairs.second]) + lag_s
+    way, turn, known = motion.spans(from_s, to_s)
+    way, turn = way * mistake.way, turn * mistake.turn
+    chord = way * sinc(turn / 2.0)
+    total = np.full(len(pairs), np.nan)
+    for row in np.flatnonzero(known):
+        a, cov_a = _points(pairs.first[row], mistake.exchanged)
+        b, cov_b = _points(pairs.second[row], mistake.exchanged)
+        half = turn[row] / 2.0
+        c, s = np.cos(turn[row]), np.sin(turn[row])
+        back = np.array([[c, s], [-s, c]])
+        moved = (a - chord[row] * np.array([np.cos(half), np.sin(half)])) @ back.T
+        spread = (back @ cov_a @ back.T)[:, None] + cov_b[None] + _FLOOR_M2 * np.eye(2)
+        off = moved[:, None, :] - b[None, :, :]
+        xx, yy, xy = spread[..., 0, 0], spread[..., 1, 1], spread[..., 0, 1]
+        square = (
+            yy * off[..., 0] ** 2 - 2.0 * xy * off[..., 0] * off[..., 1] + xx * off[..., 1] ** 2
+        ) / (xx * yy - xy * xy)
+        total[row] = float(np.exp(-0.5 * square.min(axis=1)).sum())
+    return total
+
+
+def _points(scan: PoleScan, exchanged: bool) -> tuple[Floats, Floats]:
+    points = scan.points_vehicle_m[:_POLES_MAX]
+    covariance = np.clip(scan.covariance_m2[:_POLES_MAX], -_VARIANCE_MAX_M2, _VARIANCE_MAX_M2)
+    if not exchanged:
+        return points, covariance
+    return points[:, ::-1], covariance[:, ::-1, ::-1]
+
+
+def advantage(other: Floats, told: Floats) -> tuple[float, float]:
+    """By how many standard deviations `other` agrees better than `told`, and the ratio of sums.
+
+    Paired over the scans `(pairs,)`: what differs from scan to scan does not count.
+    """
+    both = np.isfinite(other) & np.isfinite(told)
+    if both.sum() < _FEW:
+        return 0.0, 1.0
+    gain = other[both] - told[both]
+    sd = float(gain.std()) / np.sqrt(len(gain))
+    ratio = float(other[both].sum() / max(told[both].sum(), 1e-9))
+    return float(gain.mean() / sd) if sd > 0.0 else 0.0, ratio
+
+
+def motion_findings(drive: Drive, motion: Odometer, *, confirmed: bool) -> list[Finding]:
+    """Signs, units and clock of the poles against a motion.
+
+    Args:
+        confirmed: another stream agrees with the motion, so that the poles are at fault.
+    """
+    pairs = find_pairs(drive, motion)
+    if len(pairs) < _FEW:
+        return []
+    told = agreement(pairs, motion, AS_TOLD)
+    ranked = [advantage(agreement(pairs, motion, mistake), told) for mistake in MISTAKES]
+    best = int(np.argmax([sds for sds, _ in ranked]))
+    if ranked[best][0] > _BETTER_SDS and ranked[best][1] > _BETTER_RATIO:
+        return [_mistaken(MISTAKES[best], motion.name, ranked[best][1], len(pairs), confirmed)]
+    lags = [advantage(agreement(pairs, motion, AS_TOLD, lag), told) for lag in LAGS_S]
+    best = int(np.argmax([sds for sds, _ in lags]))
+    lag, (sds, ratio) = LAGS_S[best], lags[best]
+    if sds < _LAG_SDS or ratio < _LAG_RATIO or abs(lag) < _LAG_DOUBT_S:
+        return []
+    late = lag < 0.0
+    return [
+        Finding(
+            "clock_offset", "error" if abs(lag) > _LAG_WRONG_S else "warning", "poles.csv",
+            f"it tells the motion of {motion.name} about {abs(lag):.1f} s "
+            f"{'late' if late else 'early'} ({ratio:.2f} times as many poles meet)",
+            "the same clock",
+            f"{'subtract' if late else 'add'} {abs(lag):.1f} s {'from' if late else 'to'} its "
+            "stamps",
+        )
+    ]  # fmt: skip
+
+
+def contradicted(drive: Drive, first: Odometer, second: Odometer) -> Odometer:
+    """Which of two motions the poles contradict; the second where they do not tell."""
+    pairs = find_pairs(drive, first)
+    sds, _ = advantage(agreement(pairs, second, AS_TOLD), agreement(pairs, first, AS_TOLD))
+    return first if sds > 2.0 else second
+
+
+def _mistaken(
+    mistake: Mistake, name: str, ratio: float, pairs: int, confirmed: bool
+) -> Finding:
+    at_fault = "poles.csv" if confirmed else name
+    remedies = {
+        "pole_turn": "write y_m to the left" if confirmed
+        else f"change the sign of the yaw rate of {name}, or of y_m of poles.csv",
+        "pole_direction": "write x_m ahead and y_m to the left" if confirmed
+        else f"change the sign of the speed of {name}, or of x_m and y_m of poles.csv",
+        "pole_axes": "write x_m ahead and y_m to the left",
+        "pole_speed": "check the unit of x_m and y_m" if confirmed
+        else f"check the unit of the speed of {name} and of x_m, y_m of poles.csv",
+        "pole_turn_unit": "check x_m and y_m" if confirmed
+        else f"write the yaw rate of {name} in rad/s",
+    }  # fmt: skip
+    return Finding(
+        mistake.kind,
+        "error",
+        "poles.csv" if mistake.kind == "pole_axes" else at_fault,
+        f"the poles {mistake.text} against the motion of {name} ({ratio:.2g} times as many meet in "
+        f"{pairs} pairs of scans)",
+        "poles that stand still",
+        remedies[mistake.kind],
+    )

@@ -1,0 +1,227 @@
+"""The reference against itself: its yaw against the way its positions take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.findings import Finding
+from polemap.drivelog.plausibility.odometer import Odometer, common_spans
+from polemap.drivelog.streams import ReferenceStream
+from polemap.vehicle.pose import wrap_angle
+
+Floats = NDArray[np.float64]
+
+_CHORD_M = 1.0
+_STEP_MAX_S = 2.0
+# clean references: median |course - yaw| of 0.001 to 0.009 rad
+_YAW_DOUBT_RAD, _YAW_WRONG_RAD = np.radians(4.0), np.radians(15.0)
+_FIT_RAD = 0.12
+# a rear axle slips outward by about this angle per lateral acceleration, give or take
+_SLIP, _SLIP_SD = -0.006, 0.004
+_LEVER_M, _LEVER_SDS = 0.5, 6.0
+_ACROSS_M = 0.6
+_TURN_MIN_RAD = 1.0
+_UTM_EAST_M, _UTM_NORTH_M = (0.0, 1.0e6), (-1.0e3, 1.0e7)
+
+
+@dataclass(frozen=True, slots=True)
+class Chords:
+    """Steps of about a metre along a reference, `(n,)` each."""
+
+    course_rad: Floats
+    yaw_rad: Floats
+    turn_rad: Floats
+    along_m: Floats
+    left_m: Floats
+    duration_s: Floats
+
+
+def find_chords(reference: ReferenceStream) -> Chords | None:
+    """Chords between poses a metre apart; None where the reference hardly moves."""
+    points = reference.poses[:, :2]
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    keep = np.unique(np.floor(way / _CHORD_M), return_index=True)[1]
+    if len(keep) < 6:
+        return None
+    poses, stamps = reference.poses[keep], reference.stamp_s[keep]
+    yaw = np.unwrap(poses[:, 2])
+    step, duration = np.diff(poses[:, :2], axis=0), np.diff(stamps)
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    c, s = np.cos(middle), np.sin(middle)
+    chords = Chords(
+        np.arctan2(step[:, 1], step[:, 0]),
+        middle,
+        np.diff(yaw),
+        step[:, 0] * c + step[:, 1] * s,
+        -step[:, 0] * s + step[:, 1] * c,
+        duration,
+    )
+    # a jump in place or time is no motion
+    length = np.hypot(step[:, 0], step[:, 1])
+    usable = (duration < _STEP_MAX_S) & (length < 100.0 * np.maximum(duration, 1e-3) + 1.0)
+    if usable.sum() < 5:
+        return None
+    return Chords(*(getattr(chords, name)[usable] for name in Chords.__slots__))
+
+
+def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Finding]:
+    """Whether the yaw points along the way.
+
+    Args:
+        turn_ratio: turn of the odometry over that of the reference's yaw, NaN where unknown: a
+            mirrored course with yaws that turn like the odometry means mirrored positions.
+    """
+    course, yaw = chords.course_rad, chords.yaw_rad
+    off = _median_off(course, yaw)
+    if off < _YAW_DOUBT_RAD:
+        return []
+    guesses = {
+        "yaw points backward": (yaw + pi, "turn the yaw by 180 degrees"),
+        "yaw is from north, clockwise": (pi / 2 - yaw, "write pi/2 - yaw"),
+        "yaw is from north, counter-clockwise": (yaw + pi / 2, "write yaw + pi/2"),
+        "yaw is clockwise from east": (-yaw, "change the sign of the yaw"),
+        "yaw is from south, clockwise": (-pi / 2 - yaw, "write -pi/2 - yaw"),
+    }
+    fits = {name: _median_off(course, guess) for name, (guess, _) in guesses.items()}
+    name = min(fits, key=lambda key: fits[key])
+    value = f"its yaw is {np.degrees(off):.1f} degrees off its course in the median"
+    expected = f"yaw along the course within {np.degrees(_YAW_DOUBT_RAD):.0f} degrees"
+    mirrored = name.endswith("clockwise") and "counter" not in name or "clockwise from" in name
+    if fits[name] < _FIT_RAD and mirrored and turn_ratio > 0.0:
+        return [
+            Finding(
+                "reference_axes", "error", "reference.csv",
+                f"{value}, but turns like the odometry: its positions are mirrored",
+                "east_m east and north_m north", "exchange the columns east_m and north_m",
+            )
+        ]  # fmt: skip
+    if fits[name] < _FIT_RAD:
+        return [
+            Finding(
+                "reference_yaw", "error", "reference.csv", f"{value}; {name}", expected,
+                f"{guesses[name][1]} (yaw_rad is counter-clockwise from grid east)",
+            )
+        ]  # fmt: skip
+    if _median_off(np.degrees(np.unwrap(course)), yaw) < 0.6 or _median_off(
+        course, np.radians(yaw)
+    ) < _FIT_RAD:
+        return [
+            Finding(
+                "reference_yaw_unit", "error", "reference.csv", f"{value}; it is in degrees",
+                expected, "write the yaw in radians",
+            )
+        ]  # fmt: skip
+    constant = float(np.angle(np.mean(np.exp(1j * (course - yaw)))))
+    spread = _median_off(course, yaw + constant)
+    severe = off > _YAW_WRONG_RAD
+    text = (
+        f"; a constant {np.degrees(constant):.1f} degrees" if spread < 0.5 * off else ", varying"
+    )
+    return [
+        Finding(
+            "reference_yaw", "error" if severe else "warning", "reference.csv", value + text,
+            expected, "check the yaw's convention and the alignment of the reference system",
+        )
+    ]  # fmt: skip
+
+
+def lever_findings(drive: Drive, chords: Chords) -> list[Finding]:
+    """Whether the reference point is the rear axle, which does not move sideways but for slip."""
+    turn, way = chords.turn_rad, chords.along_m
+    if np.abs(turn).sum() < _TURN_MIN_RAD:
+        return []
+    speed = way / np.maximum(chords.duration_s, 1e-3)
+    design = np.stack([turn, turn * speed**2, way], axis=1)
+    ahead, sd = _lever(design, chords.left_m)
+    known = abs(float(drive.gnss_antenna_m[0]))
+    at_antenna = known >= 0.3 and abs(ahead - drive.gnss_antenna_m[0]) < 0.15
+    least = 0.3 if at_antenna else _LEVER_M
+    if abs(ahead) < least or abs(ahead) < _LEVER_SDS * sd:
+        return []
+    where = "ahead of" if ahead > 0 else "behind"
+    what = ", where the GNSS antenna is" if at_antenna else ""
+    return [
+        Finding(
+            "reference_lever_arm", "warning", "reference.csv",
+            f"it moves sideways in bends as a point {abs(ahead):.2f} m {where} the rear axle{what}",
+            f"the rear axle (within {_LEVER_M:.1f} m)",
+            "shift the positions along the yaw to the rear axle",
+        )
+    ]  # fmt: skip
+
+
+def _lever(design: Floats, left: Floats) -> tuple[float, float]:
+    """Distance ahead of the axle and its sd by least squares that outliers do not lead."""
+    weight = np.ones(len(left))
+    result, scale = np.zeros(3), 1.0
+    prior = np.array([0.0, 1.0, 0.0]) / _SLIP_SD
+    for _ in range(10):
+        information = design.T @ (design * weight[:, None]) / scale**2 + np.outer(prior, prior)
+        information += np.diag([1e-6, 0.0, 1e4])
+        vector = design.T @ (weight * left) / scale**2 + prior * (_SLIP / _SLIP_SD)
+        result = np.linalg.solve(information, vector)
+        rest = np.abs(left - design @ result)
+        scale = 1.4826 * float(np.median(rest)) + 1e-3
+        weight = 1.0 / (1.0 + (rest / (2.0 * scale)) ** 2)
+    return float(result[0]), float(np.sqrt(np.linalg.inv(information)[0, 0]))
+
+
+def across_findings(odometry: Odometer, reference: Odometer) -> list[Finding]:
+    """Whether the reference point lies on the car's middle line: beside it bends are longer."""
+    way_a, turn_a, way_b, turn_b = common_spans(odometry, reference, 2.0)
+    bends = (np.abs(turn_a) > 0.05) & (np.abs(turn_b) > 0.05)
+    straight = (np.abs(turn_b) < 0.02) & (np.abs(way_b) > 2.0)
+    turned = np.abs(turn_b[bends]).sum()
+    if straight.sum() < 3 or turned < _TURN_MIN_RAD or min((turn_b[bends] > 0).sum(), bends.sum()) < 3:
+        return []
+    scale = float(np.median(way_b[straight] / np.where(way_a == 0, np.nan, way_a)[straight]))
+    rest, turn = way_b[bends] - scale * way_a[bends], turn_b[bends]
+    weight = np.ones(len(turn))
+    left = 0.0
+    for _ in range(10):
+        # a point to the left of the rear axle's middle goes y times the turn less in a left bend
+        left = -float(np.sum(weight * rest * turn) / np.sum(weight * turn * turn))
+        error = np.abs(rest + left * turn)
+        spread = 1.4826 * float(np.median(error)) + 1e-3
+        weight = 1.0 / (1.0 + (error / (2.0 * spread)) ** 2)
+    sd = spread / np.sqrt(np.sum(weight * turn * turn))
+    if abs(left) < _ACROSS_M or abs(left) < _LEVER_SDS * sd:
+        return []
+    side = "left" if left > 0 else "right"
+    return [
+        Finding(
+            "reference_lever_arm", "warning", "reference.csv",
+            f"in bends it goes the way of a point {abs(left):.2f} m to the {side} of odometry.csv's",
+            f"the middle of the rear axle (within {_ACROSS_M:.1f} m)",
+            "shift the positions across the yaw to the middle of the rear axle",
+        )
+    ]  # fmt: skip
+
+
+def range_findings(drive: Drive) -> list[Finding]:
+    """Coordinates that a UTM zone does not have."""
+    if drive.reference is None or not drive.frame.is_utm or not len(drive.reference):
+        return []
+    east, north = np.median(drive.reference.poses[:, :2], axis=0)
+    inside = _UTM_EAST_M[0] < east < _UTM_EAST_M[1] and _UTM_NORTH_M[0] < north < _UTM_NORTH_M[1]
+    if inside:
+        return []
+    exchanged = _UTM_EAST_M[0] < north < _UTM_EAST_M[1] and east > _UTM_EAST_M[1]
+    return [
+        Finding(
+            "reference_axes" if exchanged else "reference_place", "error", "reference.csv",
+            f"east {east:.0f}, north {north:.0f} m",
+            "east of 0 to 1000 km and north of 0 to 10000 km in a UTM zone",
+            "exchange the columns east_m and north_m" if exchanged
+            else "write coordinates of the frame in drive.yaml, or name the frame they are in",
+        )
+    ]  # fmt: skip
+
+
+def _median_off(course: Floats, yaw: Floats) -> float:
+    return float(np.median(np.abs(wrap_angle(course - yaw))))
