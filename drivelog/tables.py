@@ -77,6 +77,7 @@ def read_table(
         InputError: an unreadable file, a missing column, a cell that is no number.
     """
     raw = _read_text(path)
+    _check_width(path, len(raw.columns))
     for name in (*required, *texts):
         if name not in raw.columns:
             found = ", ".join(str(c) for c in raw.columns)
@@ -115,6 +116,24 @@ def _read_text(path: Path) -> pd.DataFrame:
         raise InputError(f"{path}: not a UTF-8 CSV file ({detail})") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _check_width(path: Path, width: int) -> None:
+    """Rows longer than the header lose cells in silence: a decimal comma makes two of one.
+
+    Raises:
+        InputError: the first such row.
+    """
+    with path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            if line.count(b",") < width or b'"' in line:
+                continue
+            # empty cells at the end hold nothing that could be lost
+            if line.rstrip(b",\r\n ").count(b",") >= width:
+                raise InputError(
+                    f"{path}, line {number}: {line.count(b',') + 1} cells under {width} columns; "
+                    "write decimals with a point, not a comma"
+                )
 
 
 def _numbers(cells: NDArray[np.object_], path: Path, name: str, lines: NDArray[np.int64]) -> Floats:

@@ -22,6 +22,9 @@ from polemap.map.landmark_map import PoleMap
 Floats = NDArray[np.float64]
 _Input = OdometrySample | GnssFix | PoleScan
 
+# where nothing arrives for longer than this, the output pauses until something does again
+OUTPUT_HOLE_S = 60.0
+
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
@@ -176,6 +179,11 @@ class _Ticks:
         if not np.isfinite(arrival_s):
             return
         if self._next is None:
+            self._next = ceil(arrival_s * self._rate)
+        if arrival_s - self._last_arrival_s > OUTPUT_HOLE_S:
+            # time and memory must not depend on how long a recorder was off
+            while self._next / self._rate < self._last_arrival_s + OUTPUT_HOLE_S:
+                self._ask()
             self._next = ceil(arrival_s * self._rate)
         while self._next / self._rate < arrival_s:
             self._ask()

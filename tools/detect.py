@@ -21,7 +21,8 @@ from polemap.map.landmark_map import PoleMap
 from polemap.perception import PerceivedFrame, PolePerception, perceive_drive
 from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
-from polemap.tools.options import ConfigOption, SetOption
+from polemap.tools.options import ConfigOption, ForceOption, SetOption
+from polemap.tools.plausible import find, require_plausible
 from polemap.tools.progress import progress
 from polemap.vehicle.pose import inverse_transform_points
 
@@ -48,6 +49,7 @@ def command(
     seed: Annotated[
         int, typer.Option("--seed", min=0, help="Of sensors that have to be derived.")
     ] = 0,
+    force: ForceOption = False,
     config: ConfigOption = None,
     set_values: SetOption = None,
 ) -> None:
@@ -66,6 +68,7 @@ def command(
     opened = open_drive(drive, seed=seed)
     if opened.rig is None or not opened.has_frames:
         raise InputError(f"drive {opened.name}: it has no stereo images to detect poles in")
+    require_plausible(opened.name, find(opened), force=force)
     wanted = _range(frames, len(opened.frame_stamps_s))
     known = read_map(evaluate, opened.frame) if evaluate else None
     lacking = read_map(unmapped, opened.frame).points_m if unmapped else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,10 +12,14 @@ from numpy.typing import NDArray
 
 from polemap.build.history import COLUMN
 from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
+from polemap.errors import PolemapError
 from polemap.map.io import MAP_ENDINGS, read_map
 from polemap.map.landmark_map import PoleMap
+from polemap.map.plausibility import check_map, check_map_of_drive
 from polemap.tools.options import SeedOption
+from polemap.tools.plausible import find
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +31,9 @@ def command(
     frame_of: Annotated[
         Path | None, typer.Option("--drive", help="The drive that a CSV map belongs to.")
     ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="The findings alone, as a list; exit 2 with errors.")
+    ] = False,
     seed: SeedOption = 0,
 ) -> None:
     """Say what is inside a drive (streams, rates, gaps, extent, calibration) or a map.
@@ -34,13 +42,46 @@ def command(
         polemap info drives/monday
         polemap info campus.gpkg
         polemap info poles.csv --drive drives/monday
+        polemap info drives/monday --json
+
+    Streams are held against each other under "plausible?": what the other commands refuse
+    ("error") or warn of. docs/drives.md lists the findings.
     """
+    if as_json:
+        found = _findings(path, frame_of, seed)
+        typer.echo(json.dumps([finding.to_dict() for finding in found], indent=2))
+        if any(finding.severity == "error" for finding in found):
+            raise typer.Exit(2)
+        return
     if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
         frame = open_drive(frame_of, seed=seed).frame if frame_of is not None else None
-        lines = describe_map(read_map(path, frame, allow_empty=True), path)
+        pole_map = read_map(path, frame, allow_empty=True)
+        lines = describe_map(pole_map, path) + describe_findings(check_map(pole_map))
     else:
-        lines = describe_drive(open_drive(path, seed=seed))
+        drive = open_drive(path, seed=seed)
+        lines = describe_drive(drive) + describe_findings(find(drive))
     typer.echo("\n".join(lines))
+
+
+def _findings(path: Path, frame_of: Path | None, seed: int) -> list[Finding]:
+    """What is found in a drive or a map; one that cannot be read is a finding of its own."""
+    try:
+        drive = open_drive(frame_of, seed=seed) if frame_of is not None else None
+        if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
+            pole_map = read_map(path, drive.frame if drive else None, allow_empty=True)
+            found = check_map(pole_map)
+            return found + check_map_of_drive(pole_map, drive) if drive else found
+        return find(open_drive(path, seed=seed))
+    except PolemapError as error:
+        remedy = "mend what the value names"
+        return [Finding("unreadable", "error", path.name, str(error), "a readable input", remedy)]
+
+
+def describe_findings(found: list[Finding]) -> list[str]:
+    """The section "plausible?", a line a finding."""
+    if not found:
+        return ["plausible? nothing speaks against it"]
+    return ["plausible?", *(f"  {finding.severity:<8} {finding.line()}" for finding in found)]
 
 
 def describe_drive(drive: Drive) -> list[str]:

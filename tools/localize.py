@@ -15,7 +15,8 @@ from polemap.map.io import read_map
 from polemap.settings import load_settings
 from polemap.tools.looking import Looked, Source, look
 from polemap.tools.monte_carlo import Replay, run_many
-from polemap.tools.options import ConfigOption, SeedOption, SetOption
+from polemap.tools.options import ConfigOption, ForceOption, SeedOption, SetOption
+from polemap.tools.plausible import find, require_plausible
 from polemap.tools.progress import progress
 
 
@@ -41,6 +42,7 @@ def command(
         Path | None,
         typer.Option("--cache", help="Keeps detections and finished runs: a killed call goes on."),
     ] = None,
+    force: ForceOption = False,
     seed: SeedOption = 0,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -70,6 +72,7 @@ def command(
     source = Source(str(drive), lap)
     opened = source.open()
     pole_map = read_map(map_file, frame=opened.frame) if map_file is not None else None
+    require_plausible(opened.name, find(opened, pole_map), force=force)
     looked = Looked((), {})
     if pole_map is not None:
         check_inputs(opened, pole_map, has_poles=opened.has_frames or bool(opened.scans))

@@ -25,7 +25,8 @@ from polemap.tools.map_picture import (
     write_localizability,
 )
 from polemap.tools.map_worker import observe_task, open_part, scan
-from polemap.tools.options import ConfigOption, SeedOption, SetOption
+from polemap.tools.options import ConfigOption, ForceOption, SeedOption, SetOption
+from polemap.tools.plausible import find, require_plausible
 from polemap.tools.progress import progress
 
 
@@ -75,6 +76,7 @@ def command(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Dask scheduler, such as tcp://host:8786.")
     ] = None,
+    force: ForceOption = False,
     seed: SeedOption = 0,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -108,6 +110,8 @@ def command(
     check_writable(out)
     check_picture(picture)
     opened = [open_part(path, lap, seed) for path in drives]
+    for drive in opened:
+        require_plausible(drive.name, find(drive), force=force)
     # the map keeps its own zone: drives come to it
     old = read_map(update, allow_empty=True) if update is not None else None
     frame = old.frame if old is not None else opened[0].frame

@@ -17,3 +17,6 @@ SetOption = Annotated[
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="Makes the run repeatable bit for bit.")
 ]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Go on with inputs that cannot be right.")
+]

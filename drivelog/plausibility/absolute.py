@@ -130,9 +130,9 @@ def camera_findings(drive: Drive) -> list[Finding]:
                   severe=not 0.0 < centre < size)  # fmt: skip
     mount = rig.vehicle_from_camera
     if abs(mount.x_m) > 15.0 or abs(mount.y_m) > 2.5 or not 0.2 < mount.z_m < 6.0:
-        wrong("camera_place", f"the camera is mounted at x {mount.x_m:g}, y {mount.y_m:g}, "
+        wrong("camera_place", f"the camera stands at x {mount.x_m:g}, y {mount.y_m:g}, "
               f"z {mount.z_m:g} m", "within 15 m along, 2.5 m across, 0.2 to 6 m up",
-              "write metres from the ground under the rear axle: x ahead, y left, z up")  # fmt: skip
+              "write metres from the ground under the rear axle")  # fmt: skip
     tilt = max(abs(mount.roll_rad), abs(mount.pitch_rad))
     if tilt > 0.5 or abs(mount.yaw_rad) > 0.8:
         wrong("camera_angles", f"roll {mount.roll_rad:g}, pitch {mount.pitch_rad:g}, yaw "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from polemap.drivelog.drive import Drive
@@ -29,9 +31,9 @@ def check_drive(drive: Drive) -> list[Finding]:
     found += absolute.duplicate_findings(drive) + absolute.vehicle_findings(drive)
     found += absolute.camera_findings(drive)
     found += absolute.gnss_findings(drive) + absolute.pole_findings(drive)
-    found += places.zone_findings(drive) or places.distance_findings(drive)
+    found += places.zone_findings(drive) + places.distance_findings(drive)
     found += _motion(drive)
-    return worst_first(_once(found))
+    return _once(worst_first(found))
 
 
 def _motion(drive: Drive) -> list[Finding]:
@@ -57,9 +59,7 @@ def _motion(drive: Drive) -> list[Finding]:
             mirrored = any(f.kind == "reference_axes" for f in yaw_found + found)
             trusted = yawed if mirrored else trusted
     trusted = _moving(trusted)
-    offset = time.find_offset(
-        odometry, trusted, gnss, lambda a, b: poles.contradicted(drive, a, b)
-    )
+    offset = time.find_offset(odometry, trusted, gnss, lambda a, b: poles.contradicted(drive, a, b))
     if offset is not None:
         found.append(offset.finding())
     posed_well = trusted is yawed and trusted is not None
@@ -117,11 +117,14 @@ def _moving(track: Odometer | None) -> Odometer | None:
 
 
 def _once(findings: list[Finding]) -> list[Finding]:
-    seen = set()
-    kept = []
+    """One finding a kind and stream, the worst; the same note of several streams is one note."""
+    kept: dict[tuple[str, str], Finding] = {}
     for finding in findings:
-        key = (finding.kind, finding.stream)
-        if key not in seen:
-            seen.add(key)
-            kept.append(finding)
-    return kept
+        note = finding.severity == "note"
+        key = (finding.kind, "note" if note else finding.stream)
+        first = kept.get(key)
+        if first is None:
+            kept[key] = finding
+        elif note and finding.stream not in first.stream:
+            kept[key] = replace(first, stream=f"{first.stream}, {finding.stream}")
+    return list(kept.values())

@@ -54,9 +54,9 @@ def find_lag(first: Odometer, second: Odometer, lag_max_s: float = LAG_MAX_S) ->
     scores = np.full(len(lags), -np.inf)
     best = np.zeros(len(lags))
     samples = np.zeros(len(lags))
-    for row, lag in enumerate(lags):
+    for row in range(len(lags)):
         # the second stream's sample k tells of the first's sample k + shift - lag
-        move = shift - lag
+        move = shift - int(lags[row])
         low, high = max(0, move), min(len(values_a), len(values_b) + move)
         if high - low < least:
             continue

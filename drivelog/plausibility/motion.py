@@ -58,9 +58,7 @@ def speed_findings(
 ) -> list[Finding]:
     """What the ratio of the speed of `stream` to that of `against` says."""
     ratio = scales.speed
-    doubt, wrong = (
-        (_GNSS_SPEED_DOUBT, _GNSS_SPEED_WRONG) if noisy else (_SPEED_DOUBT, _SPEED_WRONG)
-    )
+    doubt, wrong = (_GNSS_SPEED_DOUBT, _GNSS_SPEED_WRONG) if noisy else (_SPEED_DOUBT, _SPEED_WRONG)
     if not np.isfinite(ratio) or (ratio > 0.0 and abs(log(ratio)) < log(doubt)):
         return []
     value = f"its speed is {ratio:.4g} times that of {against} (median of {scales.speed_spans})"

@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import PolemapError
 from polemap.drivelog.findings import Finding
-from polemap.drivelog.frames import EarthFrame, geographic_from_grid, grid_from_geographic, utm_frame
+from polemap.drivelog.frames import (
+    EarthFrame,
+    geographic_from_grid,
+    grid_from_geographic,
+    utm_frame,
+)
 
 Floats = NDArray[np.float64]
 
@@ -148,8 +153,12 @@ def _cause(drive: Drive, fixes: Floats, places: Floats) -> tuple[str, str, str, 
             for other in (32600 + zone, 32700 + zone):
                 guess = EarthFrame("utm", other)
                 near_zone = abs(_off_zone_deg(guess, float(np.median(geographic[:, 1])))) < 12.0
-                if other != frame.epsg and near_zone and _near(
-                    grid_from_geographic(guess, geographic[:, 0], geographic[:, 1]), places
+                if (
+                    other != frame.epsg
+                    and near_zone
+                    and _near(
+                        grid_from_geographic(guess, geographic[:, 0], geographic[:, 1]), places
+                    )
                 ):
                     return ("zone", "drive.yaml", f"they agree in {guess}, the frame is {frame}",
                             f"write epsg {other} in drive.yaml")  # fmt: skip

@@ -27,7 +27,8 @@ _FLOOR_M2, _VARIANCE_MAX_M2 = 0.15**2, 4.0
 # how much better than the motion as told a mistake must agree: standard deviations, and ratio
 _BETTER_SDS, _BETTER_RATIO = 5.0, 1.25
 _LAG_SDS, _LAG_RATIO = 5.0, 1.08
-LAGS_S = (-2.0, -1.5, -1.0, -0.7, -0.5, -0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)  # fmt: skip
+_SIZES_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)
+LAGS_S = (*(-size for size in _SIZES_S), *_SIZES_S)
 _LAG_DOUBT_S, _LAG_WRONG_S = 0.15, 0.6
 _FEW = 12
 
@@ -75,7 +76,7 @@ class ScanPairs:
 
 def find_pairs(drive: Drive, motion: Odometer) -> ScanPairs:
     """Pairs of scans with poles, the ones in which the car turns first."""
-    scans = [scan for scan in drive.scans if 0 < len(scan)]
+    scans = [scan for scan in drive.scans if len(scan) > 0]
     if len(scans) < 2:
         return ScanPairs((), ())
     stamps = np.array([scan.stamp_s for scan in scans])
@@ -100,9 +101,7 @@ def find_pairs(drive: Drive, motion: Odometer) -> ScanPairs:
     return ScanPairs(tuple(scans[i] for i in first), tuple(scans[i] for i in later))
 
 
-def agreement(
-    pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float = 0.0
-) -> Floats:
+def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float = 0.0) -> Floats:
     """How well the moved poles of each pair meet poles of the later scan: `(pairs,)`.
 
     The sum over the poles of exp(-d^2 / 2), with d the distance to the nearest pole in standard
@@ -193,9 +192,7 @@ def contradicted(drive: Drive, first: Odometer, second: Odometer) -> Odometer:
     return first if sds > 2.0 else second
 
 
-def _mistaken(
-    mistake: Mistake, name: str, ratio: float, pairs: int, confirmed: bool
-) -> Finding:
+def _mistaken(mistake: Mistake, name: str, ratio: float, pairs: int, confirmed: bool) -> Finding:
     at_fault = "poles.csv" if confirmed else name
     remedies = {
         "pole_turn": "write y_m to the left" if confirmed

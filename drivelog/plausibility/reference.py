@@ -91,7 +91,7 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
     name = min(fits, key=lambda key: fits[key])
     value = f"its yaw is {np.degrees(off):.1f} degrees off its course in the median"
     expected = f"yaw along the course within {np.degrees(_YAW_DOUBT_RAD):.0f} degrees"
-    mirrored = name.endswith("clockwise") and "counter" not in name or "clockwise from" in name
+    mirrored = (name.endswith("clockwise") and "counter" not in name) or "clockwise from" in name
     if fits[name] < _FIT_RAD and mirrored and turn_ratio > 0.0:
         return [
             Finding(
@@ -107,9 +107,10 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
                 f"{guesses[name][1]} (yaw_rad is counter-clockwise from grid east)",
             )
         ]  # fmt: skip
-    if _median_off(np.degrees(np.unwrap(course)), yaw) < 0.6 or _median_off(
-        course, np.radians(yaw)
-    ) < _FIT_RAD:
+    if (
+        _median_off(np.degrees(np.unwrap(course)), yaw) < 0.6
+        or _median_off(course, np.radians(yaw)) < _FIT_RAD
+    ):
         return [
             Finding(
                 "reference_yaw_unit", "error", "reference.csv", f"{value}; it is in degrees",
@@ -119,9 +120,7 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
     constant = float(np.angle(np.mean(np.exp(1j * (course - yaw)))))
     spread = _median_off(course, yaw + constant)
     severe = off > _YAW_WRONG_RAD
-    text = (
-        f"; a constant {np.degrees(constant):.1f} degrees" if spread < 0.5 * off else ", varying"
-    )
+    text = f"; a constant {np.degrees(constant):.1f} degrees" if spread < 0.5 * off else ", varying"
     return [
         Finding(
             "reference_yaw", "error" if severe else "warning", "reference.csv", value + text,
@@ -148,7 +147,7 @@ def lever_findings(drive: Drive, chords: Chords) -> list[Finding]:
     return [
         Finding(
             "reference_lever_arm", "warning", "reference.csv",
-            f"it moves sideways in bends as a point {abs(ahead):.2f} m {where} the rear axle{what}",
+            f"it moves in bends as a point {abs(ahead):.2f} m {where} the rear axle{what}",
             f"the rear axle (within {_LEVER_M:.1f} m)",
             "shift the positions along the yaw to the rear axle",
         )
@@ -157,14 +156,17 @@ def lever_findings(drive: Drive, chords: Chords) -> list[Finding]:
 
 def _lever(design: Floats, left: Floats) -> tuple[float, float]:
     """Distance ahead of the axle and its sd by least squares that outliers do not lead."""
-    weight = np.ones(len(left))
-    result, scale = np.zeros(3), 1.0
+    weight: Floats = np.ones(len(left))
+    result: Floats = np.zeros(3)
+    information: Floats = np.eye(3)
+    scale = 1.0
     prior = np.array([0.0, 1.0, 0.0]) / _SLIP_SD
     for _ in range(10):
-        information = design.T @ (design * weight[:, None]) / scale**2 + np.outer(prior, prior)
-        information += np.diag([1e-6, 0.0, 1e4])
-        vector = design.T @ (weight * left) / scale**2 + prior * (_SLIP / _SLIP_SD)
-        result = np.linalg.solve(information, vector)
+        seen: Floats = design.T @ (design * weight[:, None]) / scale**2
+        information = seen + np.outer(prior, prior)
+        information = np.asarray(information + np.diag([1e-6, 0.0, 1e4]))
+        vector: Floats = design.T @ (weight * left) / scale**2 + prior * (_SLIP / _SLIP_SD)
+        result = np.asarray(np.linalg.solve(information, vector), dtype=np.float64)
         rest = np.abs(left - design @ result)
         scale = 1.4826 * float(np.median(rest)) + 1e-3
         weight = 1.0 / (1.0 + (rest / (2.0 * scale)) ** 2)
@@ -177,12 +179,16 @@ def across_findings(odometry: Odometer, reference: Odometer) -> list[Finding]:
     bends = (np.abs(turn_a) > 0.05) & (np.abs(turn_b) > 0.05)
     straight = (np.abs(turn_b) < 0.02) & (np.abs(way_b) > 2.0)
     turned = np.abs(turn_b[bends]).sum()
-    if straight.sum() < 3 or turned < _TURN_MIN_RAD or min((turn_b[bends] > 0).sum(), bends.sum()) < 3:
+    if (
+        straight.sum() < 3
+        or turned < _TURN_MIN_RAD
+        or min((turn_b[bends] > 0).sum(), bends.sum()) < 3
+    ):
         return []
     scale = float(np.median(way_b[straight] / np.where(way_a == 0, np.nan, way_a)[straight]))
     rest, turn = way_b[bends] - scale * way_a[bends], turn_b[bends]
-    weight = np.ones(len(turn))
-    left = 0.0
+    weight: Floats = np.ones(len(turn))
+    left, spread = 0.0, 1.0
     for _ in range(10):
         # a point to the left of the rear axle's middle goes y times the turn less in a left bend
         left = -float(np.sum(weight * rest * turn) / np.sum(weight * turn * turn))
@@ -196,7 +202,7 @@ def across_findings(odometry: Odometer, reference: Odometer) -> list[Finding]:
     return [
         Finding(
             "reference_lever_arm", "warning", "reference.csv",
-            f"in bends it goes the way of a point {abs(left):.2f} m to the {side} of odometry.csv's",
+            f"in bends it goes as a point {abs(left):.2f} m {side} of odometry.csv's",
             f"the middle of the rear axle (within {_ACROSS_M:.1f} m)",
             "shift the positions across the yaw to the middle of the rear axle",
         )

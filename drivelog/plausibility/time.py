@@ -72,9 +72,7 @@ def overlap_findings(drive: Drive) -> list[Finding]:
     stamps = {name: s for name, s in stamps_of(drive).items() if len(s) > 1}
     if len(stamps) < 2:
         return []
-    shared = {
-        (a, b): _share(stamps[a], stamps[b]) for a in stamps for b in stamps if a != b
-    }
+    shared = {(a, b): _share(stamps[a], stamps[b]) for a in stamps for b in stamps if a != b}
     # the clock that most streams are on is taken as the right one; the odometry decides a tie
     agree = {
         a: sum(min(shared[a, b], shared[b, a]) > _SHARED_MIN for b in stamps if b != a)
@@ -110,7 +108,7 @@ def lap_findings(drive: Drive) -> list[Finding]:
         Finding(
             "laps", "error" if len(empty) == len(drive.laps) else "warning", "laps.csv",
             f"lap '{empty[0].name}' lasts from {empty[0].start_s:.3f} to {empty[0].end_s:.3f} s",
-            f"laps within {start:.3f} to {end:.3f} s", "write start_s and end_s by the drive's clock",
+            f"laps within {start:.3f} to {end:.3f} s", "write its times by the drive's clock",
         )
     ]  # fmt: skip
 
@@ -189,10 +187,7 @@ def find_offset(
     lag = off[pair]
     if pair == (0, 1):
         by_fixes = [k for k in (0, 1) if (k, 2) in off]
-        if len(by_fixes) == 1:
-            blamed = tracks[by_fixes[0]]
-        else:
-            blamed = suspects(first, second)
+        blamed = tracks[by_fixes[0]] if len(by_fixes) == 1 else suspects(first, second)
     else:
         blamed = gnss
     late_s = lag.lag_s if blamed is second else -lag.lag_s

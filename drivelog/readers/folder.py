@@ -170,7 +170,9 @@ def _gnss(
     if not path.is_file():
         return None
     if frame.is_utm:
-        table = _sensor(path, ("latitude_deg", "longitude_deg"), ("hdop", "arrival_s"), problems, findings)
+        table = _sensor(
+            path, ("latitude_deg", "longitude_deg"), ("hdop", "arrival_s"), problems, findings
+        )
         latitude, longitude = table["latitude_deg"], table["longitude_deg"]
         bad = np.flatnonzero((np.abs(latitude) > 90) | (np.abs(longitude) > 180))
         if len(bad):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.readers.drive_yaml import DetectorPart
 from polemap.drivelog.findings import Finding
+from polemap.drivelog.readers.drive_yaml import DetectorPart
 from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.drivelog.stamps import in_order
 from polemap.drivelog.tables import Table, read_table
