@@ -1,76 +1,236 @@
-"""Results appear whole or not at all: written under a temporary name, then renamed."""
+"""Results appear whole or not at all, and cost nobody a file.
+
+Everything that polemap writes goes through here:
+
+- it is made in a workspace beside its final place, then put there by a rename, or by the swap of
+  an old folder for the new one; whatever signal comes, the old or the new one stands there whole;
+- a folder is replaced only if polemap wrote every file in it (`results.marker`) as the same kind
+  of result; a result is never written on, above or below its inputs (`results.targets`);
+- one process at a time writes a folder; what a killed one left behind is removed by the next
+  (`results.workspace`).
+"""
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import combinations
 from pathlib import Path
-from tempfile import mkdtemp
 
-from polemap.drivelog.errors import InputError
+from polemap.drivelog.errors import OutputError
+from polemap.drivelog.results.exchange import READY, REPLACED, put_in_place
+from polemap.drivelog.results.marker import (
+    MARKER,
+    Listing,
+    foreign_file,
+    marker_text,
+    read_marker,
+    write_marker,
+)
+from polemap.drivelog.results.targets import check_apart, real_target
+from polemap.drivelog.results.workspace import (
+    ENDING,
+    fresh_folder,
+    own_workspace,
+    scratch_folder,
+)
 
-# stands in every folder written here, and says that it may be replaced
-MARKER = ".polemap"
+__all__ = [
+    "MARKER",
+    "atomic_file",
+    "atomic_folder",
+    "check_file",
+    "check_files",
+    "check_folder",
+    "copy_folder",
+    "own_folder",
+    "reserved",
+    "scratch_folder",
+]
+
+Inputs = Iterable[Path | str | None]
 
 
-def _temporary(path: Path) -> Path:
-    """A fresh folder beside `path`, so that the rename stays on one file system."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return Path(mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+def check_file(path: Path, inputs: Inputs = ()) -> None:
+    """Refuse, before work begins, what `atomic_file` would refuse at its end.
+
+    Raises:
+        OutputError: the place is no file, or is on or below an input.
+    """
+    real_target(Path(path), folder=False)
+    check_apart(Path(path), inputs)
+
+
+def check_files(paths: Sequence[Path | None], inputs: Inputs = ()) -> None:
+    """`check_file` of all that a command writes; None is nothing.
+
+    Raises:
+        OutputError: as `check_file`, or two of them are one file.
+    """
+    given = [Path(path) for path in paths if path is not None]
+    inputs = tuple(inputs)
+    for path in given:
+        check_file(path, inputs)
+    for first, second in combinations(given, 2):
+        if os.path.realpath(first) == os.path.realpath(second):
+            raise OutputError(f"{second}: is asked for as two results; give each its own file")
+
+
+def check_folder(path: Path, kind: str, inputs: Inputs = (), carried: tuple[str, ...] = ()) -> None:
+    """Refuse, before work begins, what `atomic_folder` would refuse at its end.
+
+    Raises:
+        OutputError: as `atomic_folder`.
+    """
+    target = real_target(Path(path), folder=True)
+    check_apart(Path(path), inputs)
+    check_replaceable(Path(path), target, kind, carried)
 
 
 @contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path, inputs: Inputs = ()) -> Iterator[Path]:
     """A temporary path to write to; it becomes `path` when the block ends well, else it goes.
 
+    Args:
+        path: a link is followed: what it leads to is replaced.
+        inputs: what the file is made from.
+
     Raises:
-        InputError: the place cannot be written to.
+        OutputError: the place cannot be written to, is no file, or is an input.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, a file is to be written there")
-    folder = _temporary(path)
-    try:
-        part = folder / path.name
+    target = real_target(path, folder=False)
+    check_apart(path, inputs)
+    with fresh_folder(target) as place:
+        part = place / target.name
         yield part
-        os.replace(part, path)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        os.replace(part, target)
 
 
 @contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder to fill; it becomes `path` when the block ends well, else it goes.
+def reserved(path: Path) -> Iterator[None]:
+    """Keeps a place that long work leads to, so that one process at a time does it.
 
-    A folder that this function made before is replaced as a whole; one that holds anything else
-    is left alone.
+    Inside the block this process writes it as ever.
 
     Raises:
-        InputError: the place cannot be written to, or a file or somebody's folder stands there.
+        OutputError: another process writes it now, or the place cannot be written to.
     """
-    path = Path(path).absolute()
-    if path.is_symlink():
-        path = path.resolve()
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: is a file, a folder is to be written there")
-    if path.exists() and not (path / MARKER).exists() and any(path.iterdir()):
-        raise InputError(
-            f"{path}: holds files that polemap did not write and would replace; choose another "
-            "folder, or empty this one"
+    with own_workspace(Path(os.path.realpath(path))):
+        yield
+
+
+@contextmanager
+def atomic_folder(
+    path: Path, kind: str, inputs: Inputs = (), carried: tuple[str, ...] = ()
+) -> Iterator[Path]:
+    """A temporary folder to fill; it becomes `path` when the block ends well, else it goes.
+
+    A folder of the same kind, in which polemap wrote every file, is replaced as a whole; any other
+    that is not empty is left alone.
+
+    Args:
+        path: a link is followed: what it leads to is replaced.
+        kind: of result: drive, run, report and the like.
+        inputs: what the folder is made from.
+        carried: folders directly in the old one that the new one gets too, such as a cache.
+
+    Raises:
+        OutputError: the place cannot be written to, is no folder, holds files that polemap did
+            not write, is on, above or below an input, or another process writes it now.
+    """
+    path = Path(path)
+    target = real_target(path, folder=True)
+    check_apart(path, inputs)
+    with own_workspace(target):
+        check_replaceable(path, target, kind, carried)
+        with fresh_folder(target) as place:
+            part = place / READY
+            part.mkdir()
+            yield part
+            for name in carried:
+                if (target / name).is_dir() and not (part / name).exists():
+                    copy_folder(target / name, part / name)
+            write_marker(part, kind)
+            put_in_place(part, target)
+            for name in carried:
+                _move_missing(place / REPLACED / name, target / name)
+
+
+def check_replaceable(path: Path, target: Path, kind: str, carried: tuple[str, ...]) -> None:
+    """Refuse a folder that is not polemap's own, of this kind, in every file.
+
+    Raises:
+        OutputError: it holds something else; the message names the first such file.
+    """
+    if not target.is_dir():
+        return
+    listing = read_marker(target)
+    if listing.kind and listing.kind != kind:
+        raise OutputError(
+            f"{path}: holds a {listing.kind}, and a {kind} is to be written there; choose another "
+            "folder, or delete this one"
         )
-    folder = _temporary(path)
+    foreign = foreign_file(target, listing, carried)
+    if foreign is not None:
+        raise OutputError(
+            f"{path}: holds files that polemap did not write and would replace (such as "
+            f"{foreign[-80:]}); choose another folder, or empty this one"
+        )
+
+
+def copy_folder(source: Path, target: Path) -> None:
+    """A folder of results once more; files are linked where that can be, since none changes."""
+    shutil.copytree(source, target, symlinks=True, copy_function=_link)
+
+
+def own_folder(path: Path, kind: str, parts: Sequence[Path]) -> None:
+    """Make a folder in which each of `parts` will be written by itself, or take such a one again.
+
+    Raises:
+        OutputError: it holds anything else, or parts that no such call wrote.
+    """
+    target = real_target(Path(path), folder=True)
+    names = {part.name for part in parts}
     try:
-        part = folder / path.name
-        part.mkdir()
-        yield part
-        (part / MARKER).write_text("made by polemap, which may replace this folder\n")
-        if path.exists():
-            os.replace(path, folder / "replaced")
-        os.replace(part, path)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        target.mkdir(parents=True, exist_ok=True)
+        there = sorted(entry.name for entry in os.scandir(target))
+        is_own = read_marker(target).kind == kind
+        foreign = [n for n in there if not is_own or n not in names | {MARKER}]
+        foreign = [n for n in foreign if not (n.startswith(".") and n.endswith(ENDING))]
+        if foreign:
+            raise OutputError(
+                f"{path}: holds files that polemap did not write (such as {foreign[0][-80:]}); "
+                "choose another folder, or empty this one"
+            )
+        if not is_own:
+            with atomic_file(target / MARKER) as part:
+                part.write_text(marker_text(Listing(kind)), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _move_missing(old: Path, new: Path) -> None:
+    """What came into a carried folder while it was carried follows; the rest is there twice."""
+    if not old.is_dir():
+        return
+    for folder, _, names in os.walk(old):
+        there = new / Path(folder).relative_to(old)
+        there.mkdir(exist_ok=True)
+        for name in names:
+            if not os.path.lexists(there / name):
+                os.rename(Path(folder) / name, there / name)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _link(source: str, target: str) -> None:
+    """The same file under a second name; a copy where that cannot be."""
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise
+        shutil.copy2(source, target, follow_symlinks=False)

@@ -2,11 +2,15 @@
 
 from polemap.errors import PolemapError
 
-__all__ = ["ConfigError", "FrameError", "InputError", "PolemapError"]
+__all__ = ["ConfigError", "FrameError", "InputError", "OutputError", "PolemapError"]
 
 
 class InputError(PolemapError):
     """A file that is missing, truncated or holds a value that cannot be used."""
+
+
+class OutputError(PolemapError):
+    """A result that cannot be written where it was asked for, or would cost somebody's files."""
 
 
 class FrameError(PolemapError):

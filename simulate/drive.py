@@ -10,15 +10,15 @@ from itertools import pairwise
 from multiprocessing import get_context
 from os import cpu_count
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.atomic import atomic_folder, scratch_folder
 from polemap.drivelog.drive import Lap, open_drive
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.processes import follow_parent, quiet_children
 from polemap.drivelog.samples import Image
 from polemap.drivelog.writers.folder import FolderWriter, folder_writer, write_drive
 from polemap.map.io import read_map, write_map
@@ -167,6 +167,7 @@ _studio: Studio | None = None
 
 def _open_studio(scenario: Scenario, laps: int, seed: int, config: SimulateConfig) -> None:
     global _studio
+    follow_parent()
     cv2.setNumThreads(1)
     world = make_world(scenario, seed)
     _studio = Studio(make_plan(world.route, scenario, laps, seed, config), world, 1)
@@ -189,7 +190,9 @@ def shots(plan: Plan, world: World) -> Iterator[Shot]:
         return
     job = (plan.scenario, plan.laps, plan.seed, plan.config)
     with ProcessPoolExecutor(workers, get_context("spawn"), _open_studio, job) as pool:
-        yield from pool.map(_take, range(count), chunksize=4)
+        with quiet_children():
+            pictures = pool.map(_take, range(count), chunksize=4)
+        yield from pictures
 
 
 def simulate_drive(
@@ -280,12 +283,12 @@ def _faulty(
 ) -> Path:  # fmt: skip
     """The drive without faults in a temporary place, and from there with them to its own."""
     sound = config.model_copy(update={"faults": ()})
-    with TemporaryDirectory() as place:
+    with scratch_folder() as place:
         base = simulate_drive(
-            scenario, Path(place) / "sound", laps, seed, sound,
+            scenario, place / "sound", laps, seed, sound,
             objects=objects, images=images, scans=scans, advance=advance,
         )  # fmt: skip
-        broken = Path(place) / "broken"
+        broken = place / "broken"
         faulty = apply_faults(open_drive(base), config.faults, seed)
         write_drive(faulty, broken)
         carry_truth(base, broken, faulty.frame_numbers)
@@ -294,6 +297,6 @@ def _faulty(
             aged = age_map(true, config.faults, seed)
             if aged is not true:
                 write_map(aged, broken / "mapped.geojson")
-        with atomic_folder(out) as folder:
+        with atomic_folder(out, "drive") as folder:
             shutil.copytree(broken, folder, dirs_exist_ok=True)
     return out

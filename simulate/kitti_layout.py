@@ -50,7 +50,7 @@ def write_kitti_odometry(
         raise ConfigError(f"drive {drive.name}: no camera")
     cameras = camera_poses(poses, drive.rig)
     from_first = np.linalg.inv(cameras[0]) @ cameras
-    with atomic_folder(root) as folder:
+    with atomic_folder(root, "drive") as folder:
         place = folder / "sequences" / sequence
         write_pairs(drive, (place / "image_0", place / "image_1"), digits=6)
         times = drive.frame_stamps_s - drive.frame_stamps_s[0]

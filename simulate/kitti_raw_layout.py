@@ -47,7 +47,7 @@ def write_kitti_raw(drive: Drive, root: Path, pole_map: PoleMap | None = None) -
     name = f"{DAY:%Y_%m_%d}_drive_0001_sync"
     stamps = drive.frame_stamps_s - drive.frame_stamps_s[0]
     lines = "".join(f"{_moment(float(stamp))}\n" for stamp in stamps)
-    with atomic_folder(root) as folder:
+    with atomic_folder(root, "drive") as folder:
         place = folder / name
         sides = (place / "image_00", place / "image_01")
         write_pairs(drive, (sides[0] / "data", sides[1] / "data"), digits=10)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import signal
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -15,6 +15,7 @@ from typer import TyperException
 from polemap import __version__
 from polemap.errors import PolemapError
 from polemap.extras import missing_extra
+from polemap.tools import interrupts
 
 # verb: (module with its function `command`, what it does)
 VERBS = {
@@ -31,6 +32,7 @@ VERBS = {
     "study": ("study", "Rerun a source paper's simulation beside its claims."),
 }
 GOOD, CRASH, USER_ERROR, INTERRUPTED = 0, 1, 2, 130
+LONGEST_MESSAGE = 300
 
 
 def _listed_only() -> None:
@@ -93,14 +95,52 @@ def run(arguments: Sequence[str]) -> int:
         if missing is None:
             raise
         return _complain(str(missing))
+    except OSError as error:
+        return _complain(_system_error(error))
     except (KeyboardInterrupt, typer.Abort):
-        _complain("interrupted; nothing half-written stays under a final name")
-        return INTERRUPTED
+        return _interrupted(INTERRUPTED)
+    except SystemExit as error:
+        # what typer makes of a reader of stdout that went away
+        if error.code != CRASH:
+            raise
+        return _complain("stdout: nobody reads it any more; results in files are whole")
+    except BaseException:
+        # libraries may turn the interrupt into an error of their own
+        code = interrupts.exit_code()
+        if code is None:
+            raise
+        return _interrupted(code)
+
+
+def _interrupted(code: int) -> int:
+    _complain("interrupted; nothing half-written stays under a final name")
+    return code
+
+
+def _system_error(error: OSError) -> str:
+    """What the system said, with the file that it was about."""
+    names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    reason = error.strerror or str(error) or type(error).__name__
+    return f"{' to '.join(names) or 'reading or writing failed'}: {reason}"
 
 
 def _complain(message: str) -> int:
-    sys.stderr.write(f"polemap: {' '.join(message.split())}\n")
+    try:
+        sys.stderr.write(f"polemap: {shortened(' '.join(message.split()))}\n")
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        pass  # nobody reads it; the exit code says enough
     return USER_ERROR
+
+
+def shortened(message: str) -> str:
+    """At most `LONGEST_MESSAGE` letters, from the middle: place and remedy stand at the ends."""
+    room = LONGEST_MESSAGE - len("polemap: ")
+    message = "".join(letter if letter.isprintable() else "?" for letter in message)
+    if len(message) <= room:
+        return message
+    head = (room - 3) // 2
+    return f"{message[:head]}...{message[-(room - 3 - head) :]}"
 
 
 def _note(message: Warning | str, *_where: object, **_rest: object) -> None:
@@ -108,9 +148,31 @@ def _note(message: Warning | str, *_where: object, **_rest: object) -> None:
     sys.stderr.write(f"polemap: note: {' '.join(str(message).split())}\n")
 
 
+def _open_standard_streams() -> None:
+    """Where a caller closed stdin, stdout or stderr, no file of ours may get its number."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
+
+
+def _flushed(code: int) -> int:
+    """The exit code, once stdout has taken all; a full disk or closed pipe is told in one line."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError) as error:
+        # what is still in the buffer would be tried, and complained about, once more at the end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        reason = error.strerror if isinstance(error, OSError) else error
+        return _complain(f"stdout: cannot be written ({reason})") if code == GOOD else code
+    return code
+
+
 def main() -> None:
     """Entry point; a crash leaves its traceback and exit code 1."""
-    # a terminated command ends its worker processes and tidies up, as an interrupted one does
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    interrupts.install()
+    _open_standard_streams()
     warnings.showwarning = _note
-    sys.exit(run(sys.argv[1:]))
+    sys.exit(_flushed(run(sys.argv[1:])))

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from polemap.drivelog.atomic import own_folder
 from polemap.tools import localize, simulate
 from polemap.tools import map as pole_maps
 from polemap.tools.options import ConfigOption, SeedOption, SetOption
@@ -42,6 +43,7 @@ def command(
     shared: dict[str, Any] = {"seed": seed, "config": config, "set_values": set_values}
     begin = time.monotonic()
 
+    own_folder(out, "demo", [drive, pole_map, page, *runs])
     laps = 1 + len(TEST_LAPS)
     _show(f"simulate {WORLD} --out {drive} --laps {laps} --objects", seed)
     simulate.command(WORLD, out=drive, laps=laps, objects=True, **shared)

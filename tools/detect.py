@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
@@ -30,6 +30,7 @@ _COLUMNS = (
     *("frame", "stamp_s", "left_px", "right_px", "top_px", "bottom_px", "disparity_px"),
     *("x_m", "y_m", "width_m", "height_m", "probability", "track"),
 )
+KIND = "detection folder"
 _BANDS_M = ((5.0, 20.0), (5.0, 10.0), (10.0, 15.0), (15.0, 20.0), (20.0, 25.0))
 
 
@@ -64,6 +65,7 @@ def command(
     belongs to none. Pictures show depth edges, hypotheses (green: a pole), track ids and the
     disparity, and from above the view, the uncertainties and the map.
     """
+    check_folder(out, KIND, (drive, evaluate, unmapped, config))
     settings = load_settings(config, set_values)
     opened = open_drive(drive, seed=seed)
     if opened.rig is None or not opened.has_frames:
@@ -74,7 +76,7 @@ def command(
     lacking = read_map(unmapped, opened.frame).points_m if unmapped else None
     if evaluate and opened.reference is None:
         raise InputError(f"drive {opened.name}: it has no reference to place a map by")
-    with atomic_folder(out) as folder:
+    with atomic_folder(out, KIND) as folder:
         records = _detect_frames(opened, wanted, settings, folder, pictures, known)
     if known is not None:
         config_min = settings.polemap.detection

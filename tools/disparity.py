@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.atomic import atomic_file, check_files
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.images import read_grey
 from polemap.drivelog.samples import Image
@@ -54,6 +54,7 @@ def command(
     for target in (out, right_out, picture):
         if target is not None and target.suffix.lower() != ".png":
             raise InputError(f"{target}: disparity is written as PNG, name the file NAME.png")
+    check_files([out, right_out, picture], (left, right, config_file))
     images = read_grey(left), read_grey(right)
     overrides = list(set_values or [])
     if matcher is not None:

@@ -13,7 +13,7 @@ import typer
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.atomic import atomic_file, check_file
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
 from polemap.electric.config import EstimatorConfig
@@ -88,6 +88,7 @@ def command(
         return
     if log is None or vehicle is None or out is None:
         raise ConfigError("estimate needs a LOG, --vehicle and --out; --list names the cars")
+    check_file(out, (log, vehicle, mapping, config_file))
     car = load_car(vehicle)
     signals, scored_from_s = _read(log, mapping, car)
     if identify_span is not None:

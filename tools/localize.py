@@ -8,15 +8,15 @@ from typing import Annotated, Any
 
 import typer
 
-from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.localize.replay import check_inputs
 from polemap.map.io import read_map
 from polemap.settings import load_settings
 from polemap.tools.looking import Looked, Source, look
-from polemap.tools.monte_carlo import Replay, run_many
 from polemap.tools.options import ConfigOption, ForceOption, SeedOption, SetOption
 from polemap.tools.plausible import find, require_plausible
+from polemap.tools.monte_carlo import Replay, run_many, shared_runs
 from polemap.tools.progress import progress
 
 
@@ -68,6 +68,7 @@ def command(
             if map_file is None
             else "--map and --without-poles exclude each other; drop one of them"
         )
+    check_folder(out, "run", (drive, map_file, cache, config))
     processes = workers or cpu_count() or 1
     source = Source(str(drive), lap)
     opened = source.open()
@@ -80,11 +81,11 @@ def command(
         with progress(total, "looking for poles") as advance:
             looked = look(source, opened, settings, processes, cache, advance)
     job = Replay(source, map_file, pole_map, looked, settings)
-    with atomic_folder(out) as folder:
+    kept = None if cache is None or runs == 1 else cache / f"runs-{job.key(opened)}"
+    with shared_runs(kept), atomic_folder(out, "run") as folder:
         if runs == 1:
             metrics = job.run(folder, seed, show=True)
         else:
-            kept = None if cache is None else cache / f"runs-{job.key(opened)}"
             metrics = run_many(job, folder, seed, runs, min(processes, runs), kept)
     typer.echo(_table(metrics, out))
 

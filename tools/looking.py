@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
@@ -22,8 +21,10 @@ import numpy as np
 
 from polemap import __version__
 from polemap.config import PolemapConfig
+from polemap.drivelog.atomic import scratch_folder
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.processes import follow_parent, quiet_children
 from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
 from polemap.settings import Settings
@@ -119,9 +120,9 @@ def look(
             raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
         advance(len(drive.scans))
         return tracked(drive, drive.scans, settings.polemap)
-    with TemporaryDirectory(prefix="polemap-") as fallback:
+    with scratch_folder() as fallback:
         known = drive_fingerprint(drive)
-        jobs = look_jobs(source, drive, known, settings, cache or Path(fallback))
+        jobs = look_jobs(source, drive, known, settings, cache or fallback)
         run_jobs(jobs, do_look, workers, advance)
         raw, spent_s = read_looks([job.target for job in jobs])
         return tracked(drive, raw, settings.polemap, spent_s)
@@ -222,8 +223,11 @@ def run_jobs(
     # One thread a process: the processes share the cores among themselves.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(do, job): job for job in todo}
+    with ProcessPoolExecutor(
+        min(workers, len(todo)), mp_context=get_context("spawn"), initializer=follow_parent
+    ) as pool:
+        with quiet_children():
+            futures = {pool.submit(do, job): job for job in todo}
         try:
             for future in as_completed(futures):
                 future.result()

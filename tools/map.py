@@ -13,6 +13,7 @@ from polemap.build.build_map import BuiltMap, assemble_map, build_map, unique_na
 from polemap.build.city.io import clear
 from polemap.build.city.work import DriveTask, observe_all, on_workers, open_client
 from polemap.build.map_diff import CHANGE, DISTANCE, compare_maps, diff_map
+from polemap.drivelog.atomic import check_files, reserved
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.map.io import check_writable, export_map, read_map, write_map
@@ -96,6 +97,10 @@ def command(
     The ending of --out chooses the format. Poles that were seen too seldom for how often they were
     in view are left out; `docs/maps.md` has the rules and the columns.
     """
+    written = [out, picture, layer]
+    check_files(written, [*(drives or []), convert, config])
+    # a map may be brought up to date in its place, pictures of it may not stand there
+    check_files(written[1:], [update])
     settings = load_settings(config, set_values)
     if diff:
         _compare(drives or [], out, align)
@@ -109,39 +114,40 @@ def command(
         raise InputError("--out is missing: it names the map to write, such as campus.gpkg")
     check_writable(out)
     check_picture(picture)
-    opened = [open_part(path, lap, seed) for path in drives]
-    for drive in opened:
-        require_plausible(drive.name, find(drive), force=force)
-    # the map keeps its own zone: drives come to it
-    old = read_map(update, allow_empty=True) if update is not None else None
-    frame = old.frame if old is not None else opened[0].frame
-    folder = out.parent / f".{out.name}.checkpoints"
-    if workers is None and scheduler is None:
-        built = _build(opened, settings, old, align)
-    else:
-        names = unique_names(opened)
-        text = settings.model_dump_json()
-        tasks = [
-            DriveTask(str(path.resolve()), name, lap, seed, frame, text)
-            for path, name in zip(drives, names, strict=True)
-        ]
-        place = _Place(folder, workers, scheduler)
-        built = _build_apart(opened, tasks, settings, old, align, place)
-    if not len(built.pole_map):
-        raise InputError(
-            f"no pole was found in {len(opened)} drives, {out} was not written; try a lower "
-            "--set polemap.mapping.observations_min"
-        )
-    write_map(built.pole_map, out)
-    if folder.is_dir():
-        clear(folder)
-    if picture is not None or layer is not None:
-        routes = [route_localizability(built.pole_map, drive, settings) for drive in opened]
-        if layer is not None:
-            write_localizability(routes, built.pole_map.frame, layer)
-        if picture is not None:
-            draw_map(built.pole_map, routes, picture)
-    _say(built, opened, out)
+    with reserved(out):
+        opened = [open_part(path, lap, seed) for path in drives]
+        for drive in opened:
+            require_plausible(drive.name, find(drive), force=force)
+        # the map keeps its own zone: drives come to it
+        old = read_map(update, allow_empty=True) if update is not None else None
+        frame = old.frame if old is not None else opened[0].frame
+        folder = out.parent / f".{out.name}.checkpoints"
+        if workers is None and scheduler is None:
+            built = _build(opened, settings, old, align)
+        else:
+            names = unique_names(opened)
+            text = settings.model_dump_json()
+            tasks = [
+                DriveTask(str(path.resolve()), name, lap, seed, frame, text)
+                for path, name in zip(drives, names, strict=True)
+            ]
+            place = _Place(folder, workers, scheduler)
+            built = _build_apart(opened, tasks, settings, old, align, place)
+        if not len(built.pole_map):
+            raise InputError(
+                f"no pole was found in {len(opened)} drives, {out} was not written; try a lower "
+                "--set polemap.mapping.observations_min"
+            )
+        write_map(built.pole_map, out)
+        if folder.is_dir():
+            clear(folder)
+        if picture is not None or layer is not None:
+            routes = [route_localizability(built.pole_map, drive, settings) for drive in opened]
+            if layer is not None:
+                write_localizability(routes, built.pole_map.frame, layer)
+            if picture is not None:
+                draw_map(built.pole_map, routes, picture)
+        _say(built, opened, out)
 
 
 def _compare(maps: list[Path], out: Path | None, align: bool) -> None:

@@ -7,16 +7,18 @@ import json
 import math
 import shutil
 import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from polemap import __version__
-from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.atomic import atomic_folder, copy_folder, reserved
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.processes import follow_parent, quiet_children
 from polemap.evaluation.metrics import spread, timing_summary
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
@@ -86,13 +88,29 @@ class Replay:
         }
 
 
+@contextmanager
+def shared_runs(kept: Path | None) -> Iterator[None]:
+    """Holds the finished runs of a cache: for one command at a time, and until its result stands.
+
+    Raises:
+        OutputError: another process works on the same runs now.
+    """
+    if kept is None:
+        yield
+        return
+    with reserved(kept):
+        yield
+        shutil.rmtree(kept, ignore_errors=True)
+
+
 def run_many(
     job: Replay, folder: Path, seed: int, runs: int, workers: int, kept: Path | None
 ) -> dict[str, Any]:
     """Runs of seeds seed ... seed + runs - 1 into `folder`; mean and spread of their metrics.
 
     Args:
-        kept: runs are finished here first and moved at the end, so that a killed call goes on.
+        kept: runs are finished here first and copied at the end, so that a killed call goes on;
+            `shared_runs` holds and removes it.
     """
     digits = max(3, len(str(runs - 1)))
     names = [f"{number:0{digits}d}" for number in range(runs)]
@@ -106,7 +124,8 @@ def run_many(
         ) as pool,
     ):
         advance(runs - len(todo))
-        futures = [pool.submit(_one, places[number], seed + number) for number in todo]
+        with quiet_children():
+            futures = [pool.submit(_one, places[number], seed + number) for number in todo]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -116,8 +135,7 @@ def run_many(
             raise
     if kept is not None:
         for place, name in zip(places, names, strict=True):
-            shutil.move(place, folder / name)
-        shutil.rmtree(kept, ignore_errors=True)
+            copy_folder(place, folder / name)
     ordered = [_read_metrics(folder / name / "metrics.json") for name in names]
     metrics = {
         "runs": runs,
@@ -134,13 +152,14 @@ _job: Replay | None = None
 
 def _take_job(job: Replay) -> None:
     global _job
+    follow_parent()
     _job = job
 
 
 def _one(place: Path, seed: int) -> None:
     if _job is None:
         raise RuntimeError("a worker was started without its job")
-    with atomic_folder(place) as part:
+    with atomic_folder(place, "run") as part:
         _job.run(part, seed)
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
+from polemap.drivelog.atomic import check_folder, scratch_folder
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
@@ -65,6 +65,7 @@ def command(
         raise ConfigError(
             f"simulate: --format {layout} is unknown; use folder, kitti_odometry or kitti_raw"
         )
+    check_folder(out, "drive", (scenario, config))
     settings = load_settings(config, set_values)
     if layout != "folder" and settings.simulate.camera.bits != 8:
         raise ConfigError(
@@ -81,9 +82,9 @@ def command(
                 objects=objects, images=images, scans=scans, advance=advance,
             )  # fmt: skip
             return
-        with TemporaryDirectory() as place:
+        with scratch_folder() as place:
             made = simulate_drive(
-                scenario, Path(place) / "drive", laps, seed, settings.simulate,
+                scenario, place / "drive", laps, seed, settings.simulate,
                 objects=True, images=images, advance=advance,
             )  # fmt: skip
             drive = open_drive(made)

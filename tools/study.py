@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from polemap.drivelog.atomic import atomic_file, atomic_folder
+from polemap.drivelog.atomic import atomic_file, atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.electric.studies.papers import STUDIES
 from polemap.electric.studies.study import Study
@@ -71,6 +71,7 @@ def command(
         raise ConfigError(f"--estimator: {name} is no closed loop, it compares all estimators")
     if out is not None:
         need("matplotlib")
+        check_folder(out, "study", (vehicle,))
     results = []
     for each in chosen:
         result, count = _run(each, vehicle, seeds, tuple(estimator or ()))
@@ -78,7 +79,7 @@ def command(
         sys.stdout.write(table(result, count) + "\n")
         sys.stdout.flush()
     if out is not None:
-        with atomic_folder(out) as folder:
+        with atomic_folder(out, "study") as folder:
             for result in results:
                 write_study(result, folder)
 

@@ -13,6 +13,7 @@ import typer
 from polemap import __version__
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.models.io import write_classifier
+from polemap.drivelog.atomic import check_file
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
@@ -58,6 +59,8 @@ def command(
     """
     settings = load_settings(config, set_values)
     pairs, lacking = _pairs(drives), dict(_pairs(unmapped or []))
+    inputs = [place for pair in [*pairs, *lacking.items()] for place in pair]
+    check_file(out, [*inputs, config])
     training = TrainingConfig(every=every)
     gathered = [
         _collect(drive, pole_map, lacking.get(drive), settings, training, parts)

@@ -204,7 +204,7 @@ def folder_writer(
         }
     if notes:
         head["notes"] = list(notes)
-    with atomic_folder(Path(path)) as folder:
+    with atomic_folder(Path(path), "drive") as folder:
         text = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
         (folder / "drive.yaml").write_text(text, encoding="utf-8")
         writer = FolderWriter(folder, frame)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import warnings
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -20,13 +21,16 @@ import pyogrio
 import shapely
 
 from polemap.drivelog.atomic import atomic_file
-from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.errors import FrameError, InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.tables import read_table
 from polemap.extras import need
 from polemap.map.formats import geojson, opendrive, osm, qgis
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.landmark_map import PoleMap
+
+# of a disk that is full or may not be written; those of pyogrio and osmium are RuntimeErrors
+_LIBRARY_ERRORS = (OSError, RuntimeError, sqlite3.Error)
 
 LAYER = "poles"
 DOUBTFUL = "doubtful"
@@ -58,8 +62,7 @@ def export_map(pole_map: PoleMap, path: Path) -> None:
     if path.suffix.lower() not in writers:
         known = ", ".join(sorted(writers))
         raise InputError(f"{path}: a map is exported as one of {known}; choose such an ending")
-    with atomic_file(path) as part:
-        writers[path.suffix.lower()](pole_map, part)
+    _write(pole_map, path, writers[path.suffix.lower()])
 
 
 def write_map(pole_map: PoleMap, path: str | Path) -> None:
@@ -70,8 +73,17 @@ def write_map(pole_map: PoleMap, path: str | Path) -> None:
     """
     path = Path(path)
     check_writable(path)
-    with atomic_file(path) as part:
-        _WRITERS[path.suffix.lower()](pole_map, part)
+    _write(pole_map, path, _WRITERS[path.suffix.lower()])
+
+
+def _write(pole_map: PoleMap, path: Path, writer: Callable[[PoleMap, Path], None]) -> None:
+    try:
+        with atomic_file(path) as part:
+            writer(pole_map, part)
+    except _LIBRARY_ERRORS as error:
+        said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        reason = said.splitlines()[0][:100]
+        raise OutputError(f"{path}: cannot be written ({reason})") from error
 
 
 def read_map(
@@ -127,6 +139,8 @@ def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
         database.execute(qgis.TABLE)
         database.execute(qgis.REGISTER)
         database.executemany(qgis.INSERT, rows)
+        for statement in qgis.STAMPS:
+            database.execute(statement)
 
 
 def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:

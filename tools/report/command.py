@@ -9,11 +9,12 @@ from typing import Annotated
 
 import typer
 
+from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.evaluation.exclusions import parse_interval
 from polemap.evaluation.results import RouteResult
 from polemap.evaluation.route import evaluate_route, route_systems
-from polemap.evaluation.routes import open_routes
+from polemap.evaluation.routes import Route, open_routes
 from polemap.evaluation.runs.io import read_run_set
 from polemap.tools.options import SeedOption
 from polemap.tools.progress import progress
@@ -21,6 +22,10 @@ from polemap.tools.report.sweep_output import sweep_output
 from polemap.tools.report.sweep_spec import parse_sweep
 from polemap.tools.report.sweeps import run_sweeps
 from polemap.tools.report.write import NO_SWEEPS, write_report
+
+KIND = "report"
+# what sweeps keep lies in the report unless --cache says otherwise
+CARRIED = ("cache",)
 
 
 def command(
@@ -70,9 +75,14 @@ def command(
     repeatability. docs/repeatability.md defines every figure. A sweep keeps what it finds in a
     cache: a killed one goes on where it was.
     """
+    if cache is not None and cache.resolve() == (out / "cache").resolve():
+        cache = None
+    added = parse_added(add or [])
+    check_folder(out, KIND, [*runs, *added.values(), cache], CARRIED)
     intervals = [parse_interval(text) for text in exclude or []]
     swept = [parse_sweep(text) for text in sweep or []]
-    routes = open_routes([read_run_set(path) for path in runs], parse_added(add or []))
+    routes = open_routes([read_run_set(path) for path in runs], added)
+    check_folder(out, KIND, _made_from(routes), CARRIED)
     unknown = {i.route for i in intervals if i.route} - {route.name for route in routes}
     if unknown:
         known = ", ".join(route.name for route in routes)
@@ -87,9 +97,16 @@ def command(
             results, swept, cache or out / "cache", sweep_runs, seed, cores, progress
         )
         output = sweep_output(*found)
-    write_report(results, out, output, latex=latex, seed=seed)
+    with atomic_folder(out, KIND, carried=CARRIED) as folder:
+        write_report(results, folder, output, latex=latex, seed=seed)
     typer.echo(screen_table(results))
     typer.echo(f"wrote {out / 'report.html'} and {out / 'report.json'}")
+
+
+def _made_from(routes: Sequence[Route]) -> list[Path]:
+    """The drives and maps that the runs name."""
+    mains = [recording.main for route in routes for recording in route.recordings]
+    return [place for main in mains for place in (main.drive, main.map) if place is not None]
 
 
 def parse_added(items: Sequence[str]) -> dict[str, Path]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import zipfile
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from polemap.drivelog.frames import EarthFrame
 
 _VERSION = 3
 _SCALARS = ("drive", "frame", "views", "without_pose")
+_KEY = re.compile("[0-9a-f]{32}")
 
 
 def write_checkpoint(part: DriveObservations, key: str, path: Path) -> None:
@@ -75,6 +78,8 @@ def read_checkpoint(path: Path, key: str) -> DriveObservations | None:
 def clear(folder: Path) -> None:
     """Remove the checkpoints of a finished map, and their folder if nothing else is in it."""
     for path in folder.glob("*.npz"):
-        path.unlink()
-    if not any(folder.iterdir()):
+        # a key and nothing else: what somebody put there stays
+        if _KEY.fullmatch(path.stem):
+            path.unlink()
+    with suppress(OSError):
         folder.rmdir()

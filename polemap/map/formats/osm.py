@@ -6,6 +6,7 @@ PBF keeps positions to 1e-7 degrees, a centimetre.
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterable, Iterator
 from typing import Any
 from xml.etree import ElementTree
@@ -77,7 +78,8 @@ def write_pbf(pole_map: PoleMap, path: str) -> None:
     place = _places(pole_map)
     header = osmium.io.Header()
     header.set("generator", "polemap")
-    with osmium.SimpleWriter(osmium.io.File(path, "pbf"), header=header, overwrite=True) as writer:
+    writer = osmium.SimpleWriter(osmium.io.File(path, "pbf"), header=header, overwrite=True)
+    try:
         for row in np.argsort(pole_map.ids):
             latitude, longitude = place[row].tolist()
             writer.add_node(
@@ -89,6 +91,12 @@ def write_pbf(pole_map: PoleMap, path: str) -> None:
                     tags=_tags(pole_map, int(row)),
                 )
             )
+        writer.close()
+    except BaseException:
+        # the destructor of a writer that failed (a full disk, say) ends the whole process: one
+        # reference that nobody gives back keeps it from running
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(writer))
+        raise
 
 
 def read_pbf(path: str, frame: EarthFrame | None) -> PoleMap:

@@ -27,9 +27,14 @@ VALUES ('layer_styles', 'attributes', 'layer_styles', 'styles of QGIS')
 """
 INSERT = """
 INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
-  styleName, styleQML, styleSLD, useAsDefault, description, owner)
-VALUES ('', '', ?, ?, ?, ?, '', 1, ?, '')
+  styleName, styleQML, styleSLD, useAsDefault, description, owner, update_time)
+VALUES ('', '', ?, ?, ?, ?, '', 1, ?, '', '2000-01-01T00:00:00.000Z')
 """
+# the same map is the same bytes: when it was written stands in the file system
+STAMPS = (
+    "UPDATE gpkg_contents SET last_change = '2000-01-01T00:00:00.000Z'",
+    "UPDATE gpkg_metadata_reference SET timestamp = '2000-01-01T00:00:00.000Z'",
+)
 
 
 @dataclass(frozen=True, slots=True)

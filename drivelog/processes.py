@@ -1,0 +1,50 @@
+"""Worker processes that end when their parent does, and leave interrupts to it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+
+def follow_parent() -> None:
+    """In a worker: end at once when the parent is gone, however it went.
+
+    A worker that waits for work would wait forever: the other workers hold the pipe open.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="follow-parent", daemon=True).start()
+
+
+@contextmanager
+def quiet_children() -> Iterator[None]:
+    """While worker processes are started: Ctrl-C will be the parent's to act on, not theirs.
+
+    A terminal sends it to all processes at once, and each worker would print a traceback.
+    """
+    block = {signal.SIGINT, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])}
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, block)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_children() -> None:
+    """Terminate all worker processes of this one; what they had not finished is swept later."""
+    for child in multiprocessing.active_children():
+        with suppress(OSError, ValueError):
+            child.terminate()

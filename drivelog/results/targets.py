@@ -1,0 +1,81 @@
+"""Where a result may be written: never on, above or below what it is made from."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+
+from polemap.drivelog.errors import OutputError
+
+Identity = tuple[int, int]
+
+_KINDS = (
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+)
+
+
+def real_target(path: Path, *, folder: bool) -> Path:
+    """The place that a result is to stand at, links followed.
+
+    Raises:
+        OutputError: something stands there that is neither a file nor a folder, or a folder where
+            a file is to be written, or a file where a folder is, or links that lead in a circle.
+    """
+    try:
+        state = os.stat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return Path(os.path.realpath(path))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise OutputError(f"{path}: cannot be written ({reason})") from error
+    for is_kind, name in _KINDS:
+        if is_kind(state.st_mode):
+            raise OutputError(
+                f"{path}: is {name}, and polemap replaces files only; name a file or folder"
+            )
+    if folder and not stat.S_ISDIR(state.st_mode):
+        raise OutputError(f"{path}: is a file, a folder is to be written there")
+    if not folder and stat.S_ISDIR(state.st_mode):
+        raise OutputError(f"{path}: is a folder, a file is to be written there")
+    return Path(os.path.realpath(path))
+
+
+def check_apart(out: Path, inputs: Iterable[Path | str | None]) -> None:
+    """Refuse a result on, above or below any of the inputs that exist; None is no input.
+
+    Raises:
+        OutputError: it would replace an input, or mix with one.
+    """
+    place = _identity(out)
+    above_out = set(_identities_above(out))
+    for given in inputs:
+        if given is None:
+            continue
+        known = _identity(given)
+        if known is None:
+            continue
+        if place == known:
+            raise OutputError(f"{out}: is the input {given} itself; choose another place")
+        if place is not None and place in _identities_above(given):
+            raise OutputError(f"{out}: holds the input {given}; choose a place that does not")
+        if known in above_out:
+            raise OutputError(f"{out}: lies inside the input {given}; choose a place outside it")
+
+
+def _identity(path: Path | str) -> Identity | None:
+    try:
+        state = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return state.st_dev, state.st_ino
+
+
+def _identities_above(path: Path | str) -> list[Identity]:
+    """Of the folders above a path that exist, links followed: what it really lies in."""
+    found = (_identity(folder) for folder in Path(os.path.realpath(path)).parents)
+    return [one for one in found if one is not None]
