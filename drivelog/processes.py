@@ -6,8 +6,11 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from typing import Any
 
 
 def follow_parent() -> None:
@@ -41,6 +44,42 @@ def quiet_children() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class WorkerPool(ProcessPoolExecutor):
+    """Fresh worker processes that end with their parent and leave Ctrl-C to it.
+
+    Args:
+        workers: their number.
+        initializer: is called in each worker, with `initargs`, before it works.
+    """
+
+    def __init__(
+        self,
+        workers: int,
+        initializer: Callable[..., object] | None = None,
+        initargs: tuple[Any, ...] = (),
+    ) -> None:
+        with quiet_children():
+            # it serves all workers, and must outlive a hang-up as well
+            resource_tracker.ensure_running()
+            super().__init__(
+                workers,
+                mp_context=multiprocessing.get_context("spawn"),
+                initializer=_begin,
+                initargs=(initializer, initargs),
+            )
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        # a worker may be started for what is submitted
+        with quiet_children():
+            return super().submit(fn, *args, **kwargs)
+
+
+def _begin(initializer: Callable[..., object] | None, initargs: tuple[Any, ...]) -> None:
+    follow_parent()
+    if initializer is not None:
+        initializer(*initargs)
 
 
 def end_children() -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from multiprocessing import get_context
 from os import cpu_count
 from pathlib import Path
 
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_folder, scratch_folder
 from polemap.drivelog.drive import Lap, open_drive
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.processes import follow_parent, quiet_children
+from polemap.drivelog.processes import WorkerPool
 from polemap.drivelog.samples import Image
 from polemap.drivelog.writers.folder import FolderWriter, folder_writer, write_drive
 from polemap.map.io import read_map, write_map
@@ -167,7 +165,6 @@ _studio: Studio | None = None
 
 def _open_studio(scenario: Scenario, laps: int, seed: int, config: SimulateConfig) -> None:
     global _studio
-    follow_parent()
     cv2.setNumThreads(1)
     world = make_world(scenario, seed)
     _studio = Studio(make_plan(world.route, scenario, laps, seed, config), world, 1)
@@ -189,10 +186,8 @@ def shots(plan: Plan, world: World) -> Iterator[Shot]:
             yield studio.shot(number)
         return
     job = (plan.scenario, plan.laps, plan.seed, plan.config)
-    with ProcessPoolExecutor(workers, get_context("spawn"), _open_studio, job) as pool:
-        with quiet_children():
-            pictures = pool.map(_take, range(count), chunksize=4)
-        yield from pictures
+    with WorkerPool(workers, _open_studio, job) as pool:
+        yield from pool.map(_take, range(count), chunksize=4)
 
 
 def simulate_drive(

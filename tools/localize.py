@@ -61,6 +61,7 @@ def command(
     the same trajectories, bit for bit. The images are looked at once, in parallel; --cache keeps
     what was found there, for other runs and for the sweeps of polemap report.
     """
+    check_folder(out, "run", (drive, map_file, cache, config))
     settings = load_settings(config, set_values)
     if (map_file is None) != without_poles:
         raise ConfigError(
@@ -68,7 +69,6 @@ def command(
             if map_file is None
             else "--map and --without-poles exclude each other; drop one of them"
         )
-    check_folder(out, "run", (drive, map_file, cache, config))
     processes = workers or cpu_count() or 1
     source = Source(str(drive), lap)
     opened = source.open()

@@ -9,10 +9,9 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
@@ -24,7 +23,7 @@ from polemap.config import PolemapConfig
 from polemap.drivelog.atomic import scratch_folder
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.processes import follow_parent, quiet_children
+from polemap.drivelog.processes import WorkerPool
 from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
 from polemap.settings import Settings
@@ -223,11 +222,8 @@ def run_jobs(
     # One thread a process: the processes share the cores among themselves.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    with ProcessPoolExecutor(
-        min(workers, len(todo)), mp_context=get_context("spawn"), initializer=follow_parent
-    ) as pool:
-        with quiet_children():
-            futures = {pool.submit(do, job): job for job in todo}
+    with WorkerPool(min(workers, len(todo))) as pool:
+        futures = {pool.submit(do, job): job for job in todo}
         try:
             for future in as_completed(futures):
                 future.result()

@@ -8,17 +8,16 @@ import math
 import shutil
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from polemap import __version__
 from polemap.drivelog.atomic import atomic_folder, copy_folder, reserved
 from polemap.drivelog.drive import Drive
-from polemap.drivelog.processes import follow_parent, quiet_children
+from polemap.drivelog.processes import WorkerPool
 from polemap.evaluation.metrics import spread, timing_summary
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
@@ -119,13 +118,10 @@ def run_many(
     todo = [number for number in range(runs) if kept is None or not places[number].is_dir()]
     with (
         progress(runs, f"{runs} runs on {workers} processes") as advance,
-        ProcessPoolExecutor(
-            workers, mp_context=get_context("spawn"), initializer=_take_job, initargs=(job,)
-        ) as pool,
+        WorkerPool(workers, _take_job, (job,)) as pool,
     ):
         advance(runs - len(todo))
-        with quiet_children():
-            futures = [pool.submit(_one, places[number], seed + number) for number in todo]
+        futures = [pool.submit(_one, places[number], seed + number) for number in todo]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -152,7 +148,6 @@ _job: Replay | None = None
 
 def _take_job(job: Replay) -> None:
     global _job
-    follow_parent()
     _job = job
 
 

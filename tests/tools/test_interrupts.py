@@ -1,0 +1,174 @@
+"""Signals, kills and closed pipes: one line, the shell's exit code, and no process left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.writers.folder import write_drive
+from polemap.map.io import write_map
+from polemap.simulate.point_drive import PointNoise
+from polemap.simulate.pole_street import pole_street
+from polemap.tools import cli
+from tests.pole_maps import plain_map
+
+POLEMAP = [sys.executable, "-m", "polemap"]
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = pole_street(2, duration_s=8.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    folder = tmp_path_factory.mktemp("street")
+    write_drive(replace(made.drive, scans=made.scans), folder / "drive")
+    write_map(made.pole_map, folder / "map.gpkg")
+    return folder
+
+
+def start(street: Path, out: Path, *, runs: int) -> subprocess.Popen[str]:
+    """`localize` over many seeds on two processes, in a process group of its own."""
+    words = ["localize", street / "drive", "--map", street / "map.gpkg", "--out", out]
+    words += ["--runs", runs, "--workers", 2, "--set", "localize.particles=150"]
+    return subprocess.Popen(
+        [*POLEMAP, *map(str, words)],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def members(group: int) -> list[int]:
+    """The living processes of a process group."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                state, _, its_group = (entry / "stat").read_text().rpartition(")")[2].split()[:3]
+            except (OSError, ValueError):
+                continue
+            if int(its_group) == group and state != "Z":
+                found.append(int(entry.name))
+    return found
+
+
+def wait_until_at_work(out: Path, group: int) -> None:
+    deadline = time.monotonic() + 60.0
+    while not list(out.parent.glob(f".{out.name}.part/*/ready/.*.part")):
+        assert time.monotonic() < deadline, members(group)
+        time.sleep(0.02)
+
+
+def wait_until_gone(group: int) -> None:
+    deadline = time.monotonic() + 30.0
+    while members(group):
+        assert time.monotonic() < deadline, members(group)
+        time.sleep(0.05)
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc here")
+
+
+@needs_proc
+@pytest.mark.parametrize(
+    ("name", "to_all", "code"),
+    [("SIGINT", True, 130), ("SIGINT", False, 130), ("SIGTERM", False, 143), ("SIGHUP", True, 129)],
+)
+def test_a_signal_ends_a_command_in_one_line(
+    name: str, to_all: bool, code: int, street: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    with start(street, out, runs=500) as process:
+        wait_until_at_work(out, process.pid)
+        number = getattr(signal, name)
+        if to_all:
+            os.killpg(process.pid, number)
+        else:
+            os.kill(process.pid, number)
+        _, error = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert error == "polemap: interrupted; nothing half-written stays under a final name\n"
+    wait_until_gone(process.pid)
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_proc
+def test_workers_end_with_a_killed_parent_and_the_next_run_tidies_up(
+    street: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    with start(street, out, runs=500) as process:
+        wait_until_at_work(out, process.pid)
+        assert len(members(process.pid)) > 2
+        process.kill()
+        process.wait()
+        wait_until_gone(process.pid)
+    assert [path.name for path in tmp_path.iterdir()] == [".run.part"]
+    with start(street, out, runs=2) as process:
+        process.communicate(timeout=120)
+    assert process.returncode == cli.GOOD
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def run(words: list[object], **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # type: ignore[call-overload, no-any-return]
+        [*POLEMAP, *map(str, words)], stderr=subprocess.PIPE, text=True, timeout=60, **options
+    )
+
+
+def test_a_reader_that_went_away_is_told_in_one_line(street: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = run(["info", street / "map.gpkg"], stdout=writing)
+    finally:
+        os.close(writing)
+    assert done.returncode == cli.USER_ERROR
+    assert done.stderr == "polemap: stdout: nobody reads it any more; results in files are whole\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_stdout_is_told_in_one_line(street: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = run(["info", street / "map.gpkg"], stdout=full)
+    assert done.returncode == cli.USER_ERROR
+    assert done.stderr.count("\n") == 1
+    assert "No space left on device" in done.stderr
+
+
+def test_closed_standard_streams_are_no_obstacle(street: Path, tmp_path: Path) -> None:
+    words = [*POLEMAP, "map", "--convert", street / "map.gpkg", "--out", tmp_path / "a.geojson"]
+    command = " ".join(map(str, words))
+    for closed in ("<&-", ">&-", "2>&-", "<&- >&- 2>&-"):
+        done = subprocess.run(["sh", "-c", f"{command} {closed}"], capture_output=True, timeout=60)
+        assert done.returncode == cli.GOOD, closed
+    assert [path.name for path in tmp_path.iterdir()] == ["a.geojson"]
+
+
+@pytest.mark.parametrize("ending", ["gpkg", "geojson", "parquet", "osm", "pbf", "xodr"])
+def test_a_disk_that_is_full_costs_one_line(ending: str, tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    points = np.random.default_rng(0).uniform(0.0, 5000.0, (3000, 2)) + np.array([5e5, 5e6])
+    poles = replace(plain_map(points), frame=EarthFrame("utm", epsg=32633))
+    write_map(poles, tmp_path / "map.gpkg")
+    out = tmp_path / f"out.{ending}"
+    out.write_text("old")
+    words = ["map", "--convert", tmp_path / "map.gpkg", "--out", out]
+    done = run(
+        words,
+        stdout=subprocess.DEVNULL,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192)),
+    )
+    assert done.returncode == cli.USER_ERROR
+    assert done.stderr.startswith(f"polemap: {out}: cannot be written (")
+    assert done.stderr.count("\n") == 1
+    assert out.read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map.gpkg", out.name]

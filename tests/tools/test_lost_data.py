@@ -1,0 +1,197 @@
+"""No command costs anybody a file: not its inputs, not the user's own, not a finished result."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from polemap.drivelog.atomic import reserved
+from polemap.drivelog.writers.folder import write_drive
+from polemap.map.io import write_map
+from polemap.simulate.point_drive import PointNoise
+from polemap.simulate.pole_street import pole_street
+from polemap.tools import cli
+
+FEW = ["--set", "localize.particles=150"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive, a map, a run, a settings file and a signal log."""
+    street = pole_street(2, duration_s=8.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    folder = tmp_path_factory.mktemp("made")
+    write_drive(replace(street.drive, scans=street.scans), folder / "in" / "drive")
+    write_map(street.pole_map, folder / "in" / "map.gpkg")
+    (folder / "in" / "settings.yaml").write_text("localize: {particles: 150}\n")
+    (folder / "in" / "log.csv").write_text("stamp_s,vx_mps\n" + "0,1\n1,1\n")
+    words = ["localize", "in/drive", "--map", "in/map.gpkg", "--out", "in/run", *FEW]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert cli.run(words) == cli.GOOD
+    return folder
+
+
+@pytest.fixture
+def place(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+LOCALIZE = ["localize", "in/drive", "--map", "in/map.gpkg", *FEW]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [*LOCALIZE, "--out", "in/drive"],
+        [*LOCALIZE, "--out", "in"],
+        [*LOCALIZE, "--out", "."],
+        [*LOCALIZE, "--out", "in/drive/run"],
+        [*LOCALIZE, "--out", "in/map.gpkg"],
+        [*LOCALIZE, "--out", "cache", "--cache", "cache"],
+        [*LOCALIZE, "--out", "in/drive/../run", "--config", "in/run/config.yaml"],
+        ["detect", "in/drive", "--out", "in/drive"],
+        ["detect", "in/drive", "--out", "in"],
+        ["map", "in/drive", "--out", "in/drive/map.gpkg"],
+        ["map", "in/drive", "--out", "a.gpkg", "--update", "in/map.gpkg", "--picture", "a.gpkg"],
+        ["map", "in/drive", "--out", "a.gpkg", "--localizability", "in/drive/a.geojson"],
+        ["map", "--convert", "in/map.gpkg", "--out", "in/map.gpkg"],
+        ["map", "--diff", "in/map.gpkg", "in/map.gpkg", "--out", "in/map.gpkg"],
+        ["report", "in/run", "--out", "in/run"],
+        ["report", "in/run", "--out", "in"],
+        ["report", "in/run", "--out", "in/run/report"],
+        ["report", "in/run", "--out", "in/drive"],
+        ["report", "in/run", "--out", "out", "--add", "mine=out/mine.tum"],
+        ["estimate", "in/log.csv", "--vehicle", "coms", "--out", "in/log.csv"],
+        ["train", "in/drive=in/map.gpkg", "--out", "in/map.gpkg"],
+        ["train", "in/drive=in/map.gpkg", "--out", "in/drive/model.json"],
+        ["simulate", "in/settings.yaml", "--out", "in"],
+        ["simulate", "park_loop", "--out", "in/run"],
+        ["simulate", "park_loop", "--out", "in"],
+        ["study", "W14", "--out", "in/run"],
+        ["demo", "--out", "in"],
+        ["disparity", "a.png", "b.png", "--out", "a.png"],
+        ["disparity", "a.png", "b.png", "--out", "d.png", "--right-out", "d.png"],
+        ["disparity", "a.png", "b.png", "--out", "pipe.png"],
+    ],
+)
+def test_a_result_never_replaces_an_input_or_the_users_own(
+    words: list[str], place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (place / "cache").mkdir()
+    (place / "cache" / "scans.npz").write_text("hours of work")
+    (place / "out").mkdir()
+    (place / "out" / "mine.tum").write_text("0 0 0 0 0 0 0 1\n")
+    (place / "a.png").write_text("a picture")
+    (place / "b.png").write_text("a picture")
+    (place / "pipe.png").symlink_to("/dev/null")
+    before = contents(place)
+    assert cli.run(words) == cli.USER_ERROR
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    remedies = ("choose", "give each its own", "name a file or folder", "is a file, a folder is")
+    assert any(remedy in error for remedy in remedies)
+    assert contents(place) == before
+
+
+@pytest.mark.parametrize("kind", ["drive", "run"])
+def test_a_result_that_somebody_added_to_is_kept(
+    kind: str, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (place / "in" / kind / "notes.txt").write_text("years of work")
+    words = {"run": [*LOCALIZE, "--out", "in/run"], "drive": ["simulate", "x", "--out", "in/drive"]}
+    assert cli.run(words[kind]) == cli.USER_ERROR
+    assert "did not write and would replace (such as notes.txt)" in capsys.readouterr().err
+    assert (place / "in" / kind / "notes.txt").exists()
+    (place / "in" / kind / "notes.txt").unlink()
+    if kind == "run":
+        assert cli.run(words[kind]) == cli.GOOD
+
+
+def test_a_folder_with_a_marker_of_no_content_is_kept(place: Path) -> None:
+    mine = place / "mine"
+    mine.mkdir()
+    (mine / ".polemap").write_text("made by polemap, which may replace this folder\n")
+    (mine / "thesis.tex").write_text("years of work")
+    assert cli.run([*LOCALIZE, "--out", "mine"]) == cli.USER_ERROR
+    assert (mine / "thesis.tex").read_text() == "years of work"
+
+
+def test_a_report_is_replaced_whole_and_keeps_its_cache(place: Path) -> None:
+    words = ["report", "in/run", "--out", "page"]
+    sweep = ["--sweep", "particles=100,150", "--sweep-runs", "1", "--workers", "1"]
+    assert cli.run([*words, *sweep]) == cli.GOOD
+    kept = contents(place / "page" / "cache")
+    assert kept
+    assert cli.run(words) == cli.GOOD
+    assert contents(place / "page" / "cache") == kept
+    assert cli.run([*words, *sweep, "--cache", "page/cache"]) == cli.GOOD
+    assert contents(place / "page" / "cache") == kept
+    (place / "page" / "cache" / "mine.txt").write_text("x")
+    assert cli.run(words) == cli.GOOD
+    assert (place / "page" / "cache" / "mine.txt").read_text() == "x"
+    assert not list(place.glob("page.*"))
+
+
+def test_runs_in_a_cache_survive_a_result_that_fails(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*LOCALIZE, "--out", "many", "--runs", "2", "--workers", "1", "--cache", "kept"]
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device", "many")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("polemap.tools.monte_carlo.copy_folder", full)
+        assert cli.run(words) == cli.USER_ERROR
+    assert capsys.readouterr().err == "polemap: many: No space left on device\n"
+    assert not (place / "many").exists()
+    (runs,) = (place / "kept").iterdir()
+    assert sorted(path.name for path in runs.iterdir()) == ["0", "1"]
+    assert cli.run(words) == cli.GOOD
+    assert {"000", "001"} <= {path.name for path in (place / "many").iterdir()}
+    assert list((place / "kept").iterdir()) == []
+
+
+def test_a_demo_takes_only_a_folder_of_its_own(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (place / "mine").mkdir()
+    (place / "mine" / "map.gpkg").write_text("surveyed by hand")
+    assert cli.run(["demo", "--out", "mine"]) == cli.USER_ERROR
+    assert "such as map.gpkg" in capsys.readouterr().err
+    assert (place / "mine" / "map.gpkg").read_text() == "surveyed by hand"
+
+
+def test_a_map_is_brought_up_to_date_in_its_place(place: Path) -> None:
+    words = ["map", "in/drive", "--update", "in/map.gpkg", "--out", "in/map.gpkg"]
+    assert cli.run(words) == cli.GOOD
+    with reserved(place / "in" / "map.gpkg"):
+        pass
+    assert {path.name for path in (place / "in").iterdir()} == {
+        "drive", "log.csv", "map.gpkg", "run", "settings.yaml",
+    }  # fmt: skip
+
+
+def test_the_same_map_is_the_same_bytes(place: Path) -> None:
+    first = [
+        "map", "in/drive", "--out", "a.gpkg", "--set", "polemap.mapping.observations_min=2"
+    ]  # fmt: skip
+    assert cli.run(first) == cli.GOOD
+    content = (place / "a.gpkg").read_bytes()
+    assert b"2000-01-01T00:00:00.000Z" in content
+    assert cli.run(first) == cli.GOOD
+    assert (place / "a.gpkg").read_bytes() == content
