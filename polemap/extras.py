@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from polemap.errors import PolemapError
@@ -39,6 +40,22 @@ def need(module: str) -> Any:
         if missing is None:
             raise
         raise missing from error
+
+
+def check_installed(module: str) -> None:
+    """`need` before the work begins, without the time that importing takes.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        if find_spec(module) is not None:
+            return
+    except ModuleNotFoundError:
+        pass
+    missing = missing_extra(ModuleNotFoundError(f"No module named {module!r}", name=module))
+    if missing is not None:
+        raise missing
 
 
 def missing_extra(error: ModuleNotFoundError) -> MissingExtraError | None:

@@ -19,6 +19,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.processes import WorkerPool
 from polemap.drivelog.samples import Image
 from polemap.drivelog.writers.folder import FolderWriter, folder_writer, write_drive
+from polemap.extras import check_installed
 from polemap.map.io import read_map, write_map
 from polemap.simulate import sensors
 from polemap.simulate.camera import expose, exposure_of, make_units
@@ -216,8 +217,11 @@ def simulate_drive(
 
     Raises:
         InputError, ConfigError: what the scenario or the target folder lacks.
+        MissingExtraError: pictures need open3d, which is not installed.
     """
     config = config or SimulateConfig()
+    if images:
+        check_installed("open3d")  # the workers need it
     chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if config.faults:
         return _faulty(chosen, Path(out), laps, seed, config, objects, images, scans, advance)

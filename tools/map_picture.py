@@ -14,7 +14,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.evaluation.localizability import Localizability, drive_sensor, localizability
-from polemap.extras import need
+from polemap.extras import check_installed
 from polemap.map.landmark_map import PoleMap
 from polemap.settings import Settings
 
@@ -37,7 +37,7 @@ def check_picture(path: Path | None) -> None:
     if path is not None and path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError(f"{path}: a picture ends in .png, .svg or .pdf")
     if path is not None:
-        need("matplotlib")
+        check_installed("matplotlib")
 
 
 def route_localizability(pole_map: PoleMap, drive: Drive, settings: Settings) -> Localizability:

@@ -16,7 +16,7 @@ from polemap.drivelog.atomic import atomic_file, atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.electric.studies.papers import STUDIES
 from polemap.electric.studies.study import Study
-from polemap.extras import need
+from polemap.extras import check_installed, need
 from polemap.simulate.closed_loop.registry import LOOP_STUDIES
 from polemap.tools.progress import progress
 from polemap.vehicle.io import load_car
@@ -70,7 +70,7 @@ def command(
     if estimator and chosen[0] not in LOOP_STUDIES:
         raise ConfigError(f"--estimator: {name} is no closed loop, it compares all estimators")
     if out is not None:
-        need("matplotlib")
+        check_installed("matplotlib")
         check_folder(out, "study", (vehicle,))
     results = []
     for each in chosen:

@@ -24,7 +24,7 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import FrameError, InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.tables import read_table
-from polemap.extras import need
+from polemap.extras import check_installed, need
 from polemap.map.formats import geojson, opendrive, osm, qgis
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.landmark_map import PoleMap
@@ -47,7 +47,7 @@ def check_writable(path: Path) -> None:
         known = ", ".join(sorted(_WRITERS))
         raise InputError(f"{path}: a map is written as one of {known}; choose such an ending")
     if Path(path).suffix.lower() == ".parquet":
-        need("pyarrow")
+        check_installed("pyarrow")
 
 
 def export_map(pole_map: PoleMap, path: Path) -> None:

@@ -7,7 +7,6 @@ import json
 import subprocess
 import sys
 import tomllib
-from dataclasses import replace
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from packaging.utils import canonicalize_name
 from polemap.drivelog.writers.folder import write_drive
 from polemap.extras import EXTRA_OF, MissingExtraError, need
 from polemap.map.io import write_map
-from polemap.simulate.pole_street import PointNoise, pole_street
+from tests.localize.point_drives import street_drive
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -41,7 +40,7 @@ NOT_OF_THE_BASE = {NOT_OF_THE_BASE!r}
 
 
 MISSING = {
-    "simulate park_loop --out OUT --set simulate.render.workers=1": ("open3d", "simulate"),
+    "simulate park_loop --out OUT": ("open3d", "simulate"),
     "study W14-margins": ("control", "simulate"),
     "study N13-cornering --out OUT": ("matplotlib", "report"),
     "report RUN --out OUT": ("matplotlib", "report"),
@@ -80,9 +79,9 @@ print(json.dumps(answers))
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = pole_street(2, duration_s=6.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    made = street_drive(2, duration_s=6.0)
     place = tmp_path_factory.mktemp("street")
-    write_drive(replace(made.drive, scans=made.scans), place / "drive")
+    write_drive(made.drive, place / "drive")
     write_map(made.pole_map, place / "map.gpkg")
     return place
 
