@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.output_filter import Event, city_drive, events_of, show
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
-from polemap.localize.particle_filter.estimate import PfEstimate
-from polemap.localize.particle_filter.health import HealthRecord
+from polemap.localize.particle_filter.estimate import HealthRecord, PfEstimate
 from polemap.simulate.points.drive import PointDrive
 from polemap.simulate.points.pose_source import PointPose
 

@@ -86,11 +86,11 @@ def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], 
     estimates = []
     for sample in drive.samples:
         if isinstance(sample, OdometrySample):
-            particle_filter.predict(sample)
+            particle_filter.add_odometry(sample)
         elif isinstance(sample, GnssFix):
             particle_filter.add_fix(sample)
         elif isinstance(sample, PoleScan):
-            estimate = particle_filter.update(sample)
+            estimate = particle_filter.process_scan(sample)
             if estimate is not None:
                 estimates.append(estimate)
     return drive, estimates, particle_filter

@@ -19,7 +19,7 @@ from polemap.drivelog.samples import OdometrySample, PoleScan, VisibleRegion
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.assignment import assign, pair_gains, pole_log_likelihood
 from polemap.localize.particle_filter.filter import ParticleFilter
-from polemap.localize.particle_filter.pole_model import Landmarks, PoleModel
+from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
 from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -81,8 +81,8 @@ def update_times(updates: int = 400, seed: int = 0) -> list[float]:
         scan = _scan(stamp, world, pose, rng)
         begin = time.perf_counter()
         for step in (stamp - 0.5 * interval, stamp):
-            particle_filter.predict(OdometrySample(step, step, speed, 0.0))
-        particle_filter.update(scan)
+            particle_filter.add_odometry(OdometrySample(step, step, speed, 0.0))
+        particle_filter.process_scan(scan)
         times.append(time.perf_counter() - begin)
     return times[50:]
 

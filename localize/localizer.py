@@ -260,7 +260,7 @@ class Localizer:
         with self._slow:
             for earlier in inbox:
                 if isinstance(earlier, OdometrySample):
-                    self._particle_filter.predict(earlier)
+                    self._particle_filter.add_odometry(earlier)
                     if self._perception is not None:
                         self._perception.record_odometry(earlier)
                 else:
@@ -269,7 +269,7 @@ class Localizer:
                 return None
             scan = self._look(replace(sample, stamp_s=stamp))
             with self._times.of("particle_filter"):
-                estimate = self._particle_filter.update(scan)
+                estimate = self._particle_filter.process_scan(scan)
             spent_s = self._times.last_s("particle_filter")
             correction = self._particle_filter.correction
             slip_rad_per_mps2 = self._particle_filter.slip_rad_per_mps2

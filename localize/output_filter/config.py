@@ -37,5 +37,8 @@ class OutputConfig(BaseModel):
         "plain EKF has it.",
     )
     reinitialize_after_s: float = Field(
-        2.0, gt=0.0, description="Rejections in a row before the output goes to the poses, s."
+        2.0,
+        gt=0.0,
+        le=1e9,
+        description="Rejected poses before the output goes to them, s.",
     )

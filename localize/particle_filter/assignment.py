@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from polemap.drivelog.samples import PoleScan, VisibleRegion
-from polemap.localize.particle_filter.pole_model import Landmarks, PoleModel
+from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
 
 try:
     from polemap.localize.particle_filter.native import assignment_kernel

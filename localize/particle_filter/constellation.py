@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from polemap.drivelog.samples import PoleScan
+from polemap.localize.particle_filter.recent_poles import REMEMBERED_M
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
 
@@ -25,11 +25,8 @@ _PAIR_SHORTEST_M = 3.0
 _PAIR_LONGEST_M = 30.0
 _MOST_PAIRS = 12
 _MOST_CANDIDATES = 6000
-_MERGE_M = 0.8
-_FORGET_M = 45.0
-_FORGET_S = 20.0
-_MOST_POLES = 40
-_PUSH_INTERVAL_S = 0.15  # a tenth of the scans of a camera holds the same poles
+# pairs are enumerated for so much more than is asked for: 6 s at 10 m/s until the next time
+_WINDOW_MARGIN_M = 60.0
 _SAME_M = 1.5
 _SAME_RAD = 0.15
 
@@ -60,73 +57,37 @@ class Candidates:
         return _same(self.poses, pose)
 
 
-class PoleMemory:
-    """The poles of the last metres in the dead-reckoning frame: more than one scan shows."""
-
-    def __init__(self) -> None:
-        self._points = np.empty((0, 2))
-        self._seen = np.empty(0, dtype=np.int64)
-        self._last_m = np.empty(0)
-        self._last_s = np.empty(0)
-        self._pushed_s = -np.inf
-
-    def push(self, scan: PoleScan, reckoned: Floats, travelled_m: float) -> None:
-        """Add a scan taken at the dead-reckoned rear-axle pose `(3,)`."""
-        if scan.stamp_s - self._pushed_s < _PUSH_INTERVAL_S:
-            return
-        self._pushed_s = scan.stamp_s
-        keep = (self._last_m > travelled_m - _FORGET_M) & (self._last_s > scan.stamp_s - _FORGET_S)
-        self._take(keep)
-        c, s = np.cos(reckoned[2]), np.sin(reckoned[2])
-        rotation = np.array([[c, -s], [s, c]])
-        for point in scan.points_vehicle_m.reshape(-1, 2) @ rotation.T + reckoned[:2]:
-            self._merge(point, travelled_m, scan.stamp_s)
-        if len(self._points) > _MOST_POLES:
-            recent = np.argsort(-self._last_s, kind="stable")[:_MOST_POLES]
-            self._take(np.sort(recent))
-
-    def _take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
-        self._points, self._seen = self._points[rows], self._seen[rows]
-        self._last_m, self._last_s = self._last_m[rows], self._last_s[rows]
-
-    def _merge(self, point: Floats, travelled_m: float, stamp_s: float) -> None:
-        if len(self._points):
-            distance = np.hypot(*(self._points - point).T)
-            nearest = int(np.argmin(distance))
-            if distance[nearest] < _MERGE_M:
-                # the newest sighting counts most: dead reckoning drifts under the old ones
-                self._points[nearest] += 0.4 * (point - self._points[nearest])
-                self._seen[nearest] += 1
-                self._last_m[nearest], self._last_s[nearest] = travelled_m, stamp_s
-                return
-        self._points = np.vstack([self._points, point])
-        self._seen = np.append(self._seen, 1)
-        self._last_m = np.append(self._last_m, travelled_m)
-        self._last_s = np.append(self._last_s, stamp_s)
-
-    def around(self, reckoned: Floats) -> Floats:
-        """The remembered poles `(k, 2)` in the vehicle frame of a dead-reckoned pose.
-
-        Poles that were seen once only are left out while enough others remain.
-        """
-        points = self._points[self._seen >= 2]
-        if len(points) < 4:
-            points = self._points
-        c, s = np.cos(reckoned[2]), np.sin(reckoned[2])
-        return np.asarray((points - reckoned[:2]) @ np.array([[c, -s], [s, c]]))
-
-    def forget(self) -> None:
-        """Start anew."""
-        self._take(np.zeros(len(self._points), dtype=np.bool_))
-
-
 class ConstellationIndex:
-    """All pairs of map poles that stand near each other, sorted by distance."""
+    """Pairs of map poles that stand near each other, sorted by distance.
+
+    Only the pairs around the place that is asked for are enumerated, and kept while the next place
+    lies near it; all of them only where the whole map must be searched.
+    """
 
     def __init__(self, pole_map: PoleMap) -> None:
-        self._points = pole_map.points_m
-        self._tree = KDTree(self._points)
-        pairs = self._tree.query_pairs(_PAIR_LONGEST_M, output_type="ndarray")
+        self._map = pole_map
+        self._points = pole_map.points_m.reshape(-1, 2)
+        self._centre_m = np.zeros(2)
+        self._radius_m = -np.inf
+        self._pairs = np.empty((0, 2), dtype=np.int64)
+        self._length = np.empty(0)
+
+    def _enumerate(self, centre_m: Floats | None, radius_m: float) -> None:
+        """Have every pair whose first pole lies within `radius_m` of a place `(2,)`, or all."""
+        if centre_m is None:
+            centre_m, radius_m = self._centre_m, np.inf
+        apart = float(np.hypot(*(centre_m - self._centre_m)))
+        if apart + radius_m <= self._radius_m:
+            return
+        self._centre_m, self._radius_m = centre_m.copy(), radius_m + _WINDOW_MARGIN_M
+        rows = np.arange(len(self._points))
+        if np.isfinite(radius_m):
+            rows = self._map.within(centre_m, self._radius_m + _PAIR_LONGEST_M)
+        if len(rows) < 2:
+            self._pairs, self._length = np.empty((0, 2), dtype=np.int64), np.empty(0)
+            return
+        tree = KDTree(self._points[rows])
+        pairs = rows[tree.query_pairs(_PAIR_LONGEST_M, output_type="ndarray")]
         length = np.hypot(*(self._points[pairs[:, 0]] - self._points[pairs[:, 1]]).T)
         order = np.argsort(length, kind="stable")
         order = order[length[order] >= _PAIR_SHORTEST_M]
@@ -156,7 +117,7 @@ class ConstellationIndex:
         """
         points = np.asarray(points_vehicle_m, dtype=np.float64)
         empty = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
-        if len(points) < min_poles or len(self._pairs) == 0:
+        if len(points) < min_poles:
             return empty
         poses = self._hypotheses(points, tolerance_m, rng, centre_m, reach_m)
         if len(poses) == 0:
@@ -185,6 +146,9 @@ class ConstellationIndex:
         usable = np.flatnonzero((baseline >= _PAIR_SHORTEST_M) & (baseline <= _PAIR_LONGEST_M))
         # long pairs give the best heading; but no pole may be in all of them
         usable = usable[np.argsort(-baseline[usable], kind="stable")]
+        centred = centre_m is not None and np.isfinite(reach_m)
+        radius_m = reach_m + REMEMBERED_M + _PAIR_LONGEST_M
+        self._enumerate(centre_m if centred else None, radius_m)
         found: list[Floats] = []
         for pair in _spread(a, b, usable, _MOST_PAIRS):
             low, high = np.searchsorted(
@@ -193,7 +157,7 @@ class ConstellationIndex:
             ends = self._pairs[low:high]
             if centre_m is not None and np.isfinite(reach_m):
                 offset = self._points[ends[:, 0]] - centre_m
-                ends = ends[np.hypot(*offset.T) < reach_m + _FORGET_M + _PAIR_LONGEST_M]
+                ends = ends[np.hypot(*offset.T) < radius_m]
             if len(ends) > 2 * _MOST_CANDIDATES:
                 ends = ends[np.sort(rng.choice(len(ends), 2 * _MOST_CANDIDATES, replace=False))]
             both = np.vstack([ends, ends[:, ::-1]])
@@ -225,8 +189,8 @@ class ConstellationIndex:
 
     def _nearest(self, points: Floats, tolerance_m: float) -> tuple[Floats, NDArray[np.int64]]:
         """Distance to and row of the nearest map pole; infinite beyond the tolerance."""
-        distance, row = self._tree.query(points, distance_upper_bound=tolerance_m)
-        return np.asarray(distance), np.asarray(row, dtype=np.int64)
+        distance, row = self._map.nearest(points, tolerance_m)
+        return distance.reshape(points.shape[:-1]), row.reshape(points.shape[:-1])
 
     def _refined(self, pose: Floats, points: Floats, tolerance_m: float) -> Floats:
         """Least-squares pose over the poles that the candidate explains."""

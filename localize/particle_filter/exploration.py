@@ -24,7 +24,7 @@ _CHANCE_SCORE = 1.5  # two poles of the street fit somewhere near
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How well a scan fits the cloud, 0 to 1, and how many matches were possible (its weight)."""
+    """How well a scan fits, 0 to 1, and how many matches were possible (its weight)."""
 
     value: float
     possible: float
@@ -58,7 +58,7 @@ class LikelihoodAverages:
         self._age_s = 0.0
         self._last_s = -np.inf
 
-    def update(self, stamp_s: float, quality: Quality) -> None:
+    def add_quality(self, stamp_s: float, quality: Quality) -> None:
         """Take in the quality of one scan; one that could match little counts little."""
         elapsed = min(stamp_s - self._last_s, _SHORT_S)
         self._last_s = stamp_s

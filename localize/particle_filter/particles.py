@@ -1,29 +1,97 @@
-"""The cloud of particles: mean, covariance and modes of weighted poses."""
+"""The particles: where they stand, how each guesses the car's slip, what each weighs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.vehicle.pose import wrap_angle
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.odometry_history import Arc
+from polemap.localize.particle_filter.motion_model import sample_motion
+from polemap.vehicle.pose import move_reference_point, wrap_angle
 
 Floats = NDArray[np.float64]
 
+# share of effective particles below which they are drawn anew (S16, section IV)
+_RESAMPLE_BELOW = 0.5
+# how the slip differs from car to car: those of vehicle/cars lie within 1.1 of it
+_SLIP_SD_RAD_PER_MPS2 = 0.0015
+# kernel that parts survivors of one particle, as a share of the spread (Liu and West 2001)
+_KERNEL = 0.1
 
-# poses within these of each other are one hypothesis: closer than two poles of a street stand; one
-# that holds less than a tenth of the weight is none
-_RADIUS_M, _RADIUS_RAD, _SHARE_MIN = 1.5, 0.35, 0.1
 
+class ParticleSet:
+    """Front-axle poses `(n, 3)`, slips `(n,)` and log-weights `(n,)`; empty until `place_all`."""
 
-@dataclass(frozen=True, slots=True)
-class Mode:
-    """One cluster of the cloud: its share of the weight, mean `(3,)` and covariance `(3, 3)`."""
+    def __init__(
+        self, config: LocalizeConfig, wheelbase_m: float, rng: np.random.Generator
+    ) -> None:
+        self._config = config
+        self._wheelbase_m = wheelbase_m
+        self._rng = rng
+        self.poses = np.empty((0, 3))
+        self.log_weights = np.empty(0)
+        self._slips = np.empty(0)
 
-    share: float
-    mean: Floats
-    covariance: Floats
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @property
+    def weights(self) -> Floats:
+        """`(n,)`, their sum is one."""
+        return normalized(self.log_weights)[0]
+
+    @property
+    def rear(self) -> Floats:
+        """Rear-axle poses `(n, 3)`."""
+        return move_reference_point(self.poses, -self._wheelbase_m)
+
+    @property
+    def slip_rad_per_mps2(self) -> float:
+        """Outward slip of the rear axle per lateral acceleration, in the mean."""
+        return float(self._slips @ self.weights)
+
+    def place_all(self, rear: Floats, log_weights: Floats, slips: Floats | None = None) -> None:
+        """Put all particles at rear-axle poses `(n, 3)`, with slips of any car if not told."""
+        self.poses = move_reference_point(rear, self._wheelbase_m)
+        self.poses[:, 2] = wrap_angle(self.poses[:, 2])
+        self.log_weights = log_weights
+        self._slips = self._drawn_slips(len(rear)) if slips is None else slips
+
+    def move_along(self, arcs: Iterable[Arc], factors: Floats) -> None:
+        """Move by the odometry's arcs, each particle with its own noise."""
+        moved = sample_motion(
+            self.poses, arcs, self._wheelbase_m, self._config, self._rng, self._slips, factors
+        )
+        moved[:, 2] = wrap_angle(moved[:, 2])
+        self.poses = moved
+
+    def replace_some(self, rear: Floats, log_weights: Floats) -> None:
+        """Let rear-axle poses take the places of as many particles."""
+        kept = low_variance_indices(self.weights, len(self) - len(rear), self._rng)
+        self.place_all(
+            np.vstack([self.rear[kept], rear]),
+            np.concatenate([np.zeros(len(kept)), log_weights]),
+            np.concatenate([self._slips[kept], self._drawn_slips(len(rear))]),
+        )
+
+    def resample_by_weight(self, n_eff: float) -> None:
+        """Draw anew by weight where too few particles count, or their number is adaptive."""
+        if n_eff >= _RESAMPLE_BELOW * len(self) and not self._config.kld.adaptive:
+            return
+        weights = self.weights
+        count = particles_needed(self.poses, weights, self._config)
+        chosen = low_variance_indices(weights, count, self._rng)
+        self._slips = jittered(self._slips[chosen], self._rng)
+        self.poses = self.poses[chosen]
+        self.log_weights = np.zeros(count)
+
+    def _drawn_slips(self, count: int) -> Floats:
+        """Slip of newcomers: from what is known of any car, for which none is negative."""
+        mean, sd = self._config.odometry.slip_rad_per_mps2, _SLIP_SD_RAD_PER_MPS2
+        return np.abs(mean + sd * self._rng.standard_normal(count))
 
 
 def normalized(log_weights: Floats) -> tuple[Floats, float]:
@@ -52,86 +120,73 @@ def effective_count(weights: Floats) -> float:
     return float(1.0 / np.dot(weights, weights))
 
 
-def mean_and_covariance(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Weighted mean `(3,)`, with the circular mean of the yaw, and covariance `(3, 3)`."""
-    yaw = poses[:, 2]
-    centre = np.empty(3)
-    # about the first pose, so that 1e6 m of northing cost no digits
-    centre[:2] = poses[0, :2] + weights @ (poses[:, :2] - poses[0, :2])
-    centre[2] = np.arctan2(weights @ np.sin(yaw), weights @ np.cos(yaw))
-    deviation = poses - centre
-    deviation[:, 2] = wrap_angle(deviation[:, 2])
-    return centre, (deviation * weights[:, np.newaxis]).T @ deviation
+def low_variance_indices(
+    weights: Floats, count: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Indices `(count,)` of the particles that live on, sorted.
 
+    One random number places a comb of `count` equal teeth over the cumulated weights, so a
+    particle of weight w survives floor(count w) or ceil(count w) times.
 
-def position_sd(covariance: Floats) -> tuple[float, float]:
-    """Standard deviations in metres along the major and the minor axis of the position ellipse."""
-    half_trace = 0.5 * (covariance[0, 0] + covariance[1, 1])
-    root = np.hypot(0.5 * (covariance[0, 0] - covariance[1, 1]), covariance[0, 1])
-    return float(np.sqrt(half_trace + root)), float(np.sqrt(max(half_trace - root, 0.0)))
-
-
-def find_modes(
-    poses: Floats,
-    weights: Floats,
-    *,
-    radius_m: float,
-    radius_rad: float,
-    share_min: float,
-    most: int = 6,
-) -> list[Mode]:
-    """Clusters of the cloud, heaviest first; those below `share_min` are left out.
-
-    The cloud is cut into cells of the radius; the heaviest cell starts a cluster, which then moves
-    to the mean of all poses within the radius until it rests (mean shift with a flat kernel).
-    What it holds is taken away and the search goes on.
+    Source: Thrun, Burgard, Fox (2005), table 4.4.
     """
-    left = np.ones(len(poses), dtype=np.bool_)
-    modes: list[Mode] = []
-    for _ in range(most):
-        if float(weights[left].sum()) < share_min:
-            break
-        members = _cluster(poses, np.where(left, weights, 0.0), radius_m, radius_rad) & left
-        share = float(weights[members].sum())
-        if share <= 0.0:
-            break
-        left &= ~members
-        if share >= share_min:
-            mean, covariance = mean_and_covariance(poses[members], weights[members] / share)
-            modes.append(Mode(share, mean, covariance))
-    return sorted(modes, key=lambda mode: -mode.share)
+    cumulated = np.cumsum(weights)
+    teeth = (rng.random() + np.arange(count)) / count * cumulated[-1]
+    indices = np.searchsorted(cumulated, teeth, side="right")
+    return np.asarray(np.minimum(indices, len(weights) - 1), dtype=np.int64)
 
 
-def modes_of(rear: Floats, weights: Floats, mean: Floats, covariance: Floats) -> list[Mode]:
-    """The modes of a cloud with known mean and covariance; a narrow one needs no search."""
-    major, _ = position_sd(covariance)
-    narrow_m, narrow_rad = 0.4 * _RADIUS_M, 0.4 * _RADIUS_RAD
-    if major < narrow_m and covariance[2, 2] < narrow_rad**2:
-        return [Mode(1.0, mean, covariance)]
-    return find_modes(
-        rear,
+def jittered(values: Floats, rng: np.random.Generator) -> Floats:
+    """A constant that every particle guesses `(n,)`, smoothed after resampling.
+
+    Survivors of one particle guess alike; a kernel parts them again, and drawing all values towards
+    their mean as much keeps the variance as it was.
+
+    Source: Liu, West (2001), section 10.3.2, with a kernel of a tenth of the spread.
+    """
+    mean, sd = float(values.mean()), float(values.std())
+    shrink = np.sqrt(1.0 - _KERNEL**2)
+    noise = rng.standard_normal(len(values))
+    return np.asarray(mean + shrink * (values - mean) + _KERNEL * sd * noise)
+
+
+def particles_needed(poses: Floats, weights: Floats, config: LocalizeConfig) -> int:
+    """The set number of particles, or what KLD sampling asks for where that is chosen."""
+    if not config.kld.adaptive:
+        return config.particles
+    return kld_count(
+        poses,
         weights,
-        radius_m=_RADIUS_M,
-        radius_rad=_RADIUS_RAD,
-        share_min=_SHARE_MIN,
+        least=config.kld.particles_min,
+        most=config.kld.particles_max,
     )
 
 
-def _cluster(
-    poses: Floats, weights: Floats, radius_m: float, radius_rad: float
-) -> NDArray[np.bool_]:
-    scale = np.array([radius_m, radius_m, radius_rad])
-    cells = np.floor((poses - poses[0]) / scale).astype(np.int64)
-    _, label = np.unique(cells, axis=0, return_inverse=True)
-    heaviest = np.argmax(np.bincount(label.ravel(), weights=weights))
-    members = label.ravel() == heaviest
-    for _ in range(10):
-        inside = np.where(members, weights, 0.0)
-        mean, _ = mean_and_covariance(poses, inside / inside.sum())
-        offset = poses - mean
-        offset[:, 2] = wrap_angle(offset[:, 2])
-        grown = np.sum((offset / scale) ** 2, axis=1) <= 1.0
-        if not (grown & (weights > 0)).any() or np.array_equal(grown, members):
-            break
-        members = grown
-    return np.asarray(members)
+def kld_count(
+    poses: Floats,
+    weights: Floats,
+    *,
+    least: int,
+    most: int,
+    error: float = 0.05,
+    quantile: float = 2.33,
+    bin_m: float = 0.25,
+    bin_rad: float = 0.05,
+) -> int:
+    """Particles needed so that the sampled density stays within `error` (Kullback-Leibler
+    distance) of the true one, from the number of bins of (E, N, yaw) that hold weight.
+
+    Source: Fox (2003), equation (7), with the Wilson-Hilferty quantile; Thrun et al., table 8.4.
+    """
+    scale = np.array([bin_m, bin_m, bin_rad])
+    offset = poses - poses[0]
+    offset[:, 2] = wrap_angle(offset[:, 2])
+    # weightless particles will not be drawn, so their bins do not count
+    alive = weights > 1e-3 / len(weights)
+    occupied = len(np.unique(np.floor(offset[alive] / scale).astype(np.int64), axis=0))
+    if occupied <= 1:
+        return least
+    k = occupied - 1.0
+    tail = 2.0 / (9.0 * k)
+    needed = k / (2.0 * error) * (1.0 - tail + np.sqrt(tail) * quantile) ** 3
+    return int(np.clip(np.ceil(needed), least, most))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.localize.config import LocalizeConfig, PolesConfig
 from polemap.localize.particle_filter.assignment import PoseLikelihoods, pole_log_likelihood
+from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
 from polemap.localize.particle_filter.particles import effective_count, normalized
-from polemap.localize.particle_filter.pole_model import Landmarks, PoleModel
 from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -53,7 +53,7 @@ class PoleWeigher:
 
     def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
         self._map = pole_map
-        self._all = Landmarks.of(pole_map, config.p_detection)
+        self._p_detection = config.p_detection
         self._model = PoleModel(
             beta_p=config.beta_p,
             width_sd_m=config.poles.width_sd_m,
@@ -64,16 +64,19 @@ class PoleWeigher:
         self._threads = config.threads
 
     def near(self, rear_poses: Floats, scan: PoleScan) -> Landmarks:
-        """Map poles within reach of any of the poses `(n, 3)`; a scattered cloud asks by cells."""
+        """Map poles within reach of any of the poses `(n, 3)`; scattered ones ask by cells."""
         reach = reach_of(scan, self._view_of(scan))
         low, high = rear_poses[:, :2].min(axis=0), rear_poses[:, :2].max(axis=0)
         half = float(np.hypot(*(high - low))) / 2
         if half <= _CELL_M:
-            return self._all.take(self._map.within((low + high) / 2, reach + half))
+            return self._landmarks(self._map.within((low + high) / 2, reach + half))
         cells = np.unique(np.floor(rear_poses[:, :2] / _CELL_M).astype(np.int64), axis=0)
         centres = (cells + 0.5) * _CELL_M
         found = [self._map.within(centre, reach + 0.75 * _CELL_M) for centre in centres]
-        return self._all.take(np.unique(np.concatenate(found)))
+        return self._landmarks(np.unique(np.concatenate(found)))
+
+    def _landmarks(self, rows: NDArray[np.int64]) -> Landmarks:
+        return Landmarks.of(self._map, self._p_detection, rows)
 
     def weigh(
         self, rear_poses: Floats, scan: PoleScan, landmarks: Landmarks | None = None
@@ -104,22 +107,22 @@ class PoleWeigher:
 
 
 def independent_share(moved_m: float, elapsed_s: float, config: PolesConfig) -> float:
-    """How much of a scan is news since the last one, 0 to 1.
+    """How much of a scan is independent of the last one, 0 to 1.
 
     Errors of tracked stereo poles, and of the map, stay the same from one scan to the next, so n
     scans are not n measurements. For errors whose correlation falls exponentially with the way (or
     the time), a long row of scans is worth one independent scan for every two correlation
     lengths; the likelihood of each is raised to that power, whatever the frame rate.
     """
-    news = moved_m / (2.0 * config.correlation_m) + elapsed_s / (2.0 * config.correlation_s)
-    return float(min(1.0, news))
+    share = moved_m / (2.0 * config.correlation_m) + elapsed_s / (2.0 * config.correlation_s)
+    return float(min(1.0, share))
 
 
 def tempered(
     log_weights: Floats, log_likelihood: Floats, share: float, min_effective: float
 ) -> tuple[Floats, float]:
-    """Log-weights after `share` of the evidence, or less where that would leave fewer than
-    `min_effective` effective particles (a wide cloud under a sharp measurement); and what was used.
+    """Log-weights after `share` of the evidence, and what was used: less where that would leave
+    fewer than `min_effective` effective particles (wide-spread ones under a sharp measurement).
     """
 
     def after(part: float) -> Floats:

@@ -37,11 +37,11 @@ def play(particle_filter: ParticleFilter, samples: Iterable[Sample]) -> list[PfE
     estimates = []
     for sample in samples:
         if isinstance(sample, OdometrySample):
-            particle_filter.predict(sample)
+            particle_filter.add_odometry(sample)
         elif isinstance(sample, GnssFix):
             particle_filter.add_fix(sample)
         elif isinstance(sample, PoleScan):
-            estimate = particle_filter.update(sample)
+            estimate = particle_filter.process_scan(sample)
             if estimate is not None:
                 estimates.append(estimate)
     return estimates

@@ -197,7 +197,7 @@ def test_poses_whose_covariance_is_none_are_dropped(street):
     for sample in samples[600:]:
         if sample in street.scans:
             # the particle filter's answer, damaged on its way to the output filter
-            estimate = localizer._particle_filter.update(sample)
+            estimate = localizer._particle_filter.process_scan(sample)
             broken = replace(estimate, covariance=-np.eye(3))
             break
     assert broken is not None

@@ -12,7 +12,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.localize.particle_filter import assignment as association
 from polemap.localize.particle_filter.assignment import assign, pole_log_likelihood
-from polemap.localize.particle_filter.pole_model import Landmarks, PoleModel
+from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
 from polemap.map.landmark_map import PoleMap
 
 needs_kernel = pytest.mark.skipif(
@@ -260,3 +260,13 @@ def test_empty_map_and_empty_scan_say_nothing(backend: str) -> None:
     )
     np.testing.assert_array_equal(found.log_likelihood, np.zeros(5))
     np.testing.assert_array_equal(found.matched, np.zeros(5))
+
+
+def test_some_landmarks_are_rows_of_all() -> None:
+    rng = np.random.default_rng(4)
+    world = pole_map(rng.normal(size=(9, 2)), rng)
+    rows = np.array([1, 4, 8])
+    some, every = Landmarks.of(world, 0.7, rows), Landmarks.of(world, 0.7)
+    for name in ("points_m", "covariance_m2", "width_m", "detection", "rows"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[rows])
+    assert (len(some), len(every)) == (3, 9)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from polemap.localize.particle_filter.constellation import ConstellationIndex, PoleMemory
+from polemap.localize.particle_filter.constellation import ConstellationIndex
+from polemap.localize.particle_filter.recent_poles import RecentPoles
 from polemap.vehicle.pose import wrap_angle
 from tests.localize.streets import seen_from, street
 from tests.pole_maps import plain_scan
@@ -56,14 +57,39 @@ def test_too_few_poles_or_an_empty_map_find_nothing() -> None:
     assert len(nothing.find(rng.normal(size=(5, 2)), tolerance_m=0.5, min_poles=3, rng=rng)) == 0
 
 
+def test_a_window_of_pairs_finds_what_all_pairs_of_the_map_find() -> None:
+    """Searches along a drive, from a window that moves along, against an index of everything."""
+    world = street(np.random.default_rng(5), count=900)
+    windowed, whole = ConstellationIndex(world), ConstellationIndex(world)
+    path = np.random.default_rng(6)
+    whole.find(path.uniform(-20, 20, (5, 2)), tolerance_m=0.6, min_poles=3, rng=path)
+    for step in range(12):
+        pose = np.array([-150.0 + 25.0 * step, 10.0 * np.sin(step), 0.1 * step])
+        seen = seen_from(world, pose, 45.0) + path.normal(0, 0.05, (1, 2))
+        found = [
+            index.find(
+                seen,
+                tolerance_m=0.6,
+                min_poles=3,
+                rng=np.random.default_rng(step),
+                centre_m=pose[:2] + 3.0,
+                reach_m=40.0,
+            )
+            for index in (windowed, whole)
+        ]
+        assert len(found[0])
+        np.testing.assert_array_equal(found[0].poses, found[1].poses)
+        np.testing.assert_array_equal(found[0].score, found[1].score)
+
+
 def test_memory_joins_scans_and_forgets_what_lies_behind() -> None:
-    memory = PoleMemory()
+    memory = RecentPoles()
     poles = np.array([[10.0, 3.0], [20.0, -4.0], [35.0, 5.0], [60.0, -3.0], [75.0, 4.0]])
     for k in range(60):
         reckoned = np.array([2.0 * k, 0.0, 0.0])
         local = poles - reckoned[:2]
         local = local[(local[:, 0] > 2) & (local[:, 0] < 30)]
-        memory.push(plain_scan(0.2 * k, local), reckoned, 2.0 * k)
+        memory.add_scan(plain_scan(0.2 * k, local), reckoned, 2.0 * k)
         if k == 25:
             around = memory.around(reckoned)
             here = poles - reckoned[:2]
@@ -72,5 +98,3 @@ def test_memory_joins_scans_and_forgets_what_lies_behind() -> None:
             assert len(around) >= 4
             assert distance.min(axis=1).max() < 1e-6
     assert len(memory.around(np.array([118.0, 0.0, 0.0]))) == 0
-    memory.forget()
-    assert len(memory.around(np.zeros(3))) == 0

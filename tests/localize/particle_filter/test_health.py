@@ -25,7 +25,7 @@ def feed(lost: LostDetector, start_s: float, seconds: float, **values: float) ->
         "gnss_distance_sd": None,
     } | values
     for k in range(int(20 * seconds)):
-        lost.update(start_s + 0.05 * k, **given)
+        lost.add_match(start_s + 0.05 * k, **given)
 
 
 def test_matching_poles_are_well() -> None:
@@ -66,8 +66,8 @@ def test_a_street_without_poles_is_not_being_lost() -> None:
 def test_fixes_far_away_are_believed_when_they_persist() -> None:
     lost = LostDetector(RecoveryConfig())
     # two outliers around an outage of a minute
-    lost.update(0.0, 4, 5, 4.0, 0.1, 40.0)
-    lost.update(60.0, 4, 5, 4.0, 0.1, 40.0)
+    lost.add_match(0.0, 4, 5, 4.0, 0.1, 40.0)
+    lost.add_match(60.0, 4, 5, 4.0, 0.1, 40.0)
     assert not lost.lost
     feed(lost, 60.1, 1, gnss_distance_sd=1.0)
     feed(lost, 62, 2.8, gnss_distance_sd=8.0)
@@ -105,16 +105,16 @@ def test_exploration_starts_when_the_quality_falls_and_ends_when_it_returns() ->
     t = 0.0
     for _ in range(400):
         t += 0.05
-        averages.update(t, Quality(0.4, 4.0))
+        averages.add_quality(t, Quality(0.4, 4.0))
         assert averages.share == 0.0
     for _ in range(60):
         t += 0.05
-        averages.update(t, Quality(0.02, 4.0))
+        averages.add_quality(t, Quality(0.02, 4.0))
     assert averages.share > 0.05
     assert averages.share <= 0.2
     for _ in range(60):
         t += 0.05
-        averages.update(t, Quality(0.4, 4.0))
+        averages.add_quality(t, Quality(0.4, 4.0))
     assert averages.share == 0.0
     averages.reset()
     assert averages.share == 0.0
@@ -123,9 +123,9 @@ def test_exploration_starts_when_the_quality_falls_and_ends_when_it_returns() ->
 def test_scans_that_could_not_match_do_not_call_for_exploration() -> None:
     averages = LikelihoodAverages(0.2)
     for k in range(100):
-        averages.update(0.05 * k, Quality(0.4, 4.0))
+        averages.add_quality(0.05 * k, Quality(0.4, 4.0))
     for k in range(400):
-        averages.update(5.0 + 0.05 * k, Quality(0.0, 0.0))
+        averages.add_quality(5.0 + 0.05 * k, Quality(0.0, 0.0))
     assert averages.share == 0.0
 
 

@@ -86,7 +86,7 @@ def test_late_scans_are_placed_exactly_and_older_ones_counted() -> None:
     )
     particle_filter.set_pose(3.0, start, np.eye(3) * 0.01)
     scan = next(s for s in drive.samples if isinstance(s, PoleScan))
-    assert particle_filter.update(scan) is None
+    assert particle_filter.process_scan(scan) is None
     assert particle_filter.counts["scans_late"] == 1
 
 

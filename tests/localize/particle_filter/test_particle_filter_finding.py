@@ -114,9 +114,9 @@ def between_two_places(estimate: str, seed: int) -> PfEstimate:
     last = None
     for k in range(9):
         t = 0.1 * (k + 1)
-        particle_filter.predict(OdometrySample(t, t, 4.0, 0.0))
+        particle_filter.add_odometry(OdometrySample(t, t, 4.0, 0.0))
         seen = local - np.array([0.4 * (k + 1), 0.0])
-        last = particle_filter.update(plain_scan(t, seen, variance_m2=0.04))
+        last = particle_filter.process_scan(plain_scan(t, seen, variance_m2=0.04))
     assert last is not None
     return last
 

@@ -8,18 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polemap.localize.config import KldConfig, LocalizeConfig
-from polemap.localize.particle_filter.particles import (
-    effective_count,
+from polemap.localize.particle_filter.estimate import (
     find_modes,
-    log_mean,
     mean_and_covariance,
     modes_of,
-    normalized,
     position_sd,
 )
-from polemap.localize.particle_filter.resampling import (
+from polemap.localize.particle_filter.particles import (
+    effective_count,
     kld_count,
+    log_mean,
     low_variance_indices,
+    normalized,
     particles_needed,
 )
 

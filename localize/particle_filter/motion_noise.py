@@ -22,12 +22,12 @@ SCALE_MIN, SCALE_MAX = 0.2, 4.0
 class NoiseScale:
     """Factors on the motion noise: along the car, aside of it, and of the turn.
 
-    Between the cloud before and after a scan the mean moves by C and the covariance shrinks by D.
-    Where noise and likelihood are as large as the filter takes them to be, C C^T is D in the mean.
-    If odometry is better than its alphas say, corrections are smaller; if it is worse, or errs
-    always to one side, the corrections of many scans add up to more. They are summed over windows
-    longer than errors of seen poles last, and the mean of C^2 / D, weighed against the alphas as if
-    these had been seen in two windows, scales the variance of the noise.
+    Between before and after a scan the mean moves by C and the covariance shrinks by D. Where noise
+    and likelihood are as large as the filter takes them to be, C C^T is D in the mean. If odometry
+    is better than its alphas say, corrections are smaller; if it is worse, or errs always to one
+    side, the corrections of many scans add up to more. They are summed over windows longer than
+    errors of seen poles last, and the mean of C^2 / D, weighed against the alphas as if they had
+    been seen in two windows, scales the variance of the noise.
 
     Source: covariance matching of the innovations, Mehra (1972), "Approaches to adaptive
     filtering", IEEE Trans. Automatic Control 17(5), here for the state's own correction.
@@ -39,7 +39,7 @@ class NoiseScale:
         self._count = _PRIOR_WINDOWS * np.ones(3)
         self._correction = np.zeros(3)
         self._expected = np.zeros(3)
-        self._news = 0.0
+        self._share = 0.0
 
     @property
     def factors(self) -> Floats:
@@ -49,18 +49,18 @@ class NoiseScale:
         scale = np.sqrt(self._sum / self._count)
         return np.clip(scale, SCALE_MIN, SCALE_MAX)
 
-    def add(
+    def add_correction(
         self,
         before: tuple[Floats, Floats],
         after: tuple[Floats, Floats],
-        news: float,
+        share: float,
         trusted: bool,
     ) -> None:
         """Take in one scan.
 
         Args:
             before, after: mean `(3,)` and covariance `(3, 3)` of the rear-axle poses.
-            news: the share of a scan that was new (`independent_share`).
+            share: the share of a scan that was new (`independent_share`).
             trusted: whether poles hold the pose; a window only runs over trusted scans.
         """
         if not trusted:
@@ -73,8 +73,8 @@ class NoiseScale:
         moved[2] = np.arctan2(np.sin(moved[2]), np.cos(moved[2]))
         self._correction += turn @ moved
         self._expected += np.diag(turn @ (before[1] - after[1]) @ turn.T)
-        self._news += news
-        if self._news >= WINDOW:
+        self._share += share
+        if self._share >= WINDOW:
             self._close()
 
     def _close(self) -> None:
@@ -91,4 +91,4 @@ class NoiseScale:
     def _forget(self) -> None:
         self._correction[:] = 0.0
         self._expected[:] = 0.0
-        self._news = 0.0
+        self._share = 0.0

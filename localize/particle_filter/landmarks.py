@@ -58,26 +58,20 @@ class Landmarks:
     rows: NDArray[np.int64]
 
     @classmethod
-    def of(cls, pole_map: PoleMap, p_detection: float) -> Landmarks:
-        """All poles of a map; one that may no longer stand is expected less."""
-        covariance = pole_map.covariance_m2.reshape(-1, 2, 2)
-        existence = np.clip(pole_map.existence, 0.05, 1.0)
+    def of(
+        cls, pole_map: PoleMap, p_detection: float, rows: NDArray[np.int64] | None = None
+    ) -> Landmarks:
+        """Some poles of a map, or all; one that may no longer stand is expected less."""
+        if rows is None:
+            rows = np.arange(len(pole_map))
+        covariance = pole_map.covariance_m2.reshape(-1, 2, 2)[rows]
+        existence = np.clip(pole_map.existence[rows], 0.05, 1.0)
         return cls(
-            np.ascontiguousarray(pole_map.points_m.reshape(-1, 2)),
+            np.ascontiguousarray(pole_map.points_m.reshape(-1, 2)[rows]),
             np.stack([covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]], axis=1),
-            np.asarray(pole_map.width_m, dtype=np.float64),
+            np.asarray(pole_map.width_m[rows], dtype=np.float64),
             np.minimum(p_detection * existence, _LARGEST_DETECTION),
-            np.arange(len(pole_map)),
-        )
-
-    def take(self, rows: NDArray[np.int64]) -> Landmarks:
-        """Some of them."""
-        return Landmarks(
-            self.points_m[rows],
-            self.covariance_m2[rows],
-            self.width_m[rows],
-            self.detection[rows],
-            self.rows[rows],
+            rows,
         )
 
     def __len__(self) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,14 +14,14 @@ from polemap.localize.particle_filter.constellation import (
     Against,
     Candidates,
     ConstellationIndex,
-    PoleMemory,
 )
+from polemap.localize.particle_filter.estimate import position_sd
 from polemap.localize.particle_filter.exploration import draw_poses
-from polemap.localize.particle_filter.particles import position_sd
+from polemap.localize.particle_filter.health import Verdict
+from polemap.localize.particle_filter.recent_poles import RecentPoles
 from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
-Verdict = Literal["confirmed", "contradicted", "open"]
 
 _MARGIN = 1.5  # by so many poles another place must explain less
 _STANDING_M = 0.2
@@ -38,14 +36,14 @@ _REACH_M = 40.0
 _NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
 
 
-class Relocation:
+class PlaceSearch:
     """Follows GNSS and the poles of the last metres, and draws poses from both on demand."""
 
     def __init__(self, pole_map: PoleMap, config: RecoveryConfig, receiver: GnssReceiver) -> None:
         self._config = config
         self._receiver = receiver
         self._alignment = GnssAlignment(receiver)
-        self._memory = PoleMemory()
+        self._recent = RecentPoles()
         self._index = ConstellationIndex(pole_map)
         self._searched_s = -np.inf
         self._searched_at_m = np.zeros(2)
@@ -56,16 +54,16 @@ class Relocation:
         """Stamp of the newest fix, minus infinity before the first."""
         return self._alignment.newest_s
 
-    def add_fix(self, fix: GnssFix, reckoned: Floats) -> None:
+    def add_fix(self, fix: GnssFix, odometry_pose: Floats) -> None:
         """Take in a fix and the dead-reckoned pose `(3,)` of its moment."""
-        self._alignment.add_fix(fix, reckoned)
+        self._alignment.add_fix(fix, odometry_pose)
 
-    def add_scan(self, scan: PoleScan, reckoned: Floats, travelled_m: float) -> None:
+    def add_scan(self, scan: PoleScan, odometry_pose: Floats, travelled_m: float) -> None:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
-        self._memory.push(scan, reckoned, travelled_m)
+        self._recent.add_scan(scan, odometry_pose, travelled_m)
 
-    def start(
-        self, count: int, stamp_s: float, reckoned: Floats, rng: np.random.Generator
+    def draw_start(
+        self, count: int, stamp_s: float, odometry_pose: Floats, rng: np.random.Generator
     ) -> Floats:
         """Poses `(count, 3)` to begin with; none while waiting makes them better.
 
@@ -76,10 +74,10 @@ class Relocation:
         if not self.rested(stamp_s):
             return np.empty((0, 3))
         since_s, self._searched_s = stamp_s - self._searched_s, stamp_s
-        gnss = self._gnss_pose(stamp_s, reckoned)
-        candidates = self._search(reckoned, gnss, rng)
-        moved = np.hypot(*(reckoned[:2] - self._searched_at_m)) > _STANDING_M
-        self._searched_at_m = reckoned[:2].copy()
+        gnss = self._gnss_pose(stamp_s, odometry_pose)
+        candidates = self._search(odometry_pose, gnss, rng)
+        moved = np.hypot(*(odometry_pose[:2] - self._searched_at_m)) > _STANDING_M
+        self._searched_at_m = odometry_pose[:2].copy()
         if gnss is not None and moved and np.isfinite(since_s):
             self._waited_s += since_s
         if gnss is None or not gnss.heading_known:
@@ -92,7 +90,7 @@ class Relocation:
         self,
         pose: Floats,
         stamp_s: float,
-        reckoned: Floats,
+        odometry_pose: Floats,
         rng: np.random.Generator,
         *,
         proven: bool = False,
@@ -104,11 +102,11 @@ class Relocation:
         is alone in that, and by one pole more: the map may lack what is seen.
         """
         self._searched_s = stamp_s
-        gnss = self._gnss_pose(stamp_s, reckoned)
-        candidates = self._search(reckoned, gnss, rng)
+        gnss = self._gnss_pose(stamp_s, odometry_pose)
+        candidates = self._search(odometry_pose, gnss, rng)
         own = self._index.judge(
             pose[np.newaxis],
-            self._memory.around(reckoned),
+            self._recent.around(odometry_pose),
             _TOLERANCE_M,
             self._against(gnss),
         )
@@ -133,23 +131,23 @@ class Relocation:
         """Whether the last search is long enough ago for another."""
         return stamp_s - self._searched_s >= intervals * _INTERVAL_S
 
-    def draw(
-        self, count: int, stamp_s: float, reckoned: Floats, rng: np.random.Generator
+    def draw_anew(
+        self, count: int, stamp_s: float, odometry_pose: Floats, rng: np.random.Generator
     ) -> Floats:
         """Rear-axle poses `(count, 3)` at `stamp_s`; none where nothing is known."""
         self._searched_s = stamp_s
-        gnss = self._gnss_pose(stamp_s, reckoned)
-        return draw_poses(count, gnss, self._search(reckoned, gnss, rng), rng)
+        gnss = self._gnss_pose(stamp_s, odometry_pose)
+        return draw_poses(count, gnss, self._search(odometry_pose, gnss, rng), rng)
 
-    def _gnss_pose(self, stamp_s: float, reckoned: Floats) -> GnssPose | None:
+    def _gnss_pose(self, stamp_s: float, odometry_pose: Floats) -> GnssPose | None:
         if stamp_s - self._alignment.newest_s > MAX_AGE_S:
             return None
-        return self._alignment.align(reckoned)
+        return self._alignment.align(odometry_pose)
 
     def _search(
-        self, reckoned: Floats, gnss: GnssPose | None, rng: np.random.Generator
+        self, odometry_pose: Floats, gnss: GnssPose | None, rng: np.random.Generator
     ) -> Candidates:
-        points = self._memory.around(reckoned)
+        points = self._recent.around(odometry_pose)
         # one less than a proof where a fix narrows the search: without one, chance matches abound
         least = self._enough(gnss) if gnss is None else self._enough(gnss) - 1
         if len(points) < least:

@@ -10,7 +10,7 @@ from polemap.localize.gnss.alignment import GnssPose
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.particle_filter.constellation import Candidates
 from polemap.localize.particle_filter.exploration import draw_poses
-from polemap.localize.particle_filter.relocation import Relocation
+from polemap.localize.particle_filter.place_search import PlaceSearch
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
 from tests.localize.streets import seen_from, street, twice
@@ -33,9 +33,9 @@ def test_draws_come_from_candidates_and_gnss() -> None:
     assert len(draw_poses(100, None, good, rng)) == 100
 
 
-def looked_around(world: PoleMap, pose: np.ndarray, reach_m: float = 40.0) -> Relocation:
+def looked_around(world: PoleMap, pose: np.ndarray, reach_m: float = 40.0) -> PlaceSearch:
     """Stands at the pose, which dead reckoning takes for its origin, and has seen what is near."""
-    relocation = Relocation(world, RecoveryConfig(), GnssReceiver())
+    relocation = PlaceSearch(world, RecoveryConfig(), GnssReceiver())
     local = seen_from(world, pose, reach_m)
     for stamp in (1.0, 2.0):
         relocation.add_scan(plain_scan(stamp, local), np.zeros(3), 0.0)
@@ -96,19 +96,19 @@ def test_two_places_alike_or_few_poles_leave_the_place_open() -> None:
 
 def test_a_standing_car_does_not_start_by_gnss_until_it_has_driven() -> None:
     world = street(np.random.default_rng(1))
-    relocation = Relocation(world, RecoveryConfig(), GnssReceiver())
+    relocation = PlaceSearch(world, RecoveryConfig(), GnssReceiver())
     rng = np.random.default_rng(0)
     for k in range(60):
         stamp = 1.0 + k
         fix = GnssFix(stamp, stamp, *rng.normal(0, 0.3, 2).tolist(), 1.0)
         relocation.add_fix(fix, np.zeros(3))
-        assert len(relocation.start(100, stamp, np.zeros(3), rng)) == 0
+        assert len(relocation.draw_start(100, stamp, np.zeros(3), rng)) == 0
     for k in range(10):
         stamp, way = 61.0 + k, 3.0 * (k + 1)
         fix = GnssFix(stamp, stamp, way + float(rng.normal(0, 0.3)), 0.0, 1.0)
         reckoned = np.array([way, 0.0, 0.0])
         relocation.add_fix(fix, reckoned)
-        drawn = relocation.start(100, stamp, reckoned, rng)
+        drawn = relocation.draw_start(100, stamp, reckoned, rng)
         if len(drawn):
             break
     assert len(drawn) == 100

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polemap.localize.config import OdometryConfig
-from polemap.localize.particle_filter.noise_scale import MEMORY_WINDOWS, WINDOW, NoiseScale
+from polemap.localize.particle_filter.motion_noise import MEMORY_WINDOWS, WINDOW, NoiseScale
 
 NOISE_SD = np.array([0.10, 0.06, 0.006])  # of one step, as the alphas have it
 SCAN_SD = np.array([0.15, 0.12, 0.01])
@@ -28,7 +28,7 @@ def drive(true_factors: np.ndarray, config: OdometryConfig, *, seed: int, steps:
         after = error + gain * (SCAN_SD * rng.standard_normal(3) - error)
         variance = (1.0 - gain) * prior
         pose = np.array([100.0, 200.0, yaw])
-        scale.add(
+        scale.add_correction(
             (pose + to_world @ error, to_world @ np.diag(prior) @ to_world.T),
             (pose + to_world @ after, to_world @ np.diag(variance) @ to_world.T),
             NEWS,
@@ -65,7 +65,7 @@ def test_what_poles_do_not_hold_says_nothing() -> None:
     for trusted in [True] * 7 + [False]:
         # the eighth part of a window's news: it would close at the eighth trusted scan
         jump = np.array([5.0, 0.0, 0.0])
-        scale.add((np.zeros(3), large), (jump, small), WINDOW / 8, trusted=trusted)
+        scale.add_correction((np.zeros(3), large), (jump, small), WINDOW / 8, trusted=trusted)
     assert scale.factors == pytest.approx(config.noise_scale_start)
 
 
@@ -73,5 +73,5 @@ def test_one_shock_does_not_decide() -> None:
     config = OdometryConfig(noise_scale_start=1.0)
     scale = NoiseScale(config)
     small, large = np.diag([0.01, 0.01, 1e-4]), np.diag([0.02, 0.02, 2e-4])
-    scale.add((np.zeros(3), large), (np.full(3, 50.0), small), WINDOW, trusted=True)
+    scale.add_correction((np.zeros(3), large), (np.full(3, 50.0), small), WINDOW, trusted=True)
     assert 1.0 < scale.factors.max() <= 2.0

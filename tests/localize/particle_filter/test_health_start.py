@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from polemap.localize.config import RecoveryConfig
-from polemap.localize.particle_filter.relocation import Verdict
-from polemap.localize.particle_filter.start_proof import StartProof
+from polemap.localize.particle_filter.health import StartProof
+from polemap.localize.particle_filter.place_search import Verdict
 
 
 def feed(
@@ -20,7 +20,9 @@ def feed(
     moved_m: float = 1.0,
 ) -> None:
     for _ in range(scans):
-        proof.add(verdict, narrow=narrow, matched=matched, possible=possible, moved_m=moved_m)
+        proof.add_verdict(
+            verdict, narrow=narrow, matched=matched, possible=possible, moved_m=moved_m
+        )
 
 
 def test_a_constellation_proves_a_narrow_cloud_only() -> None:
@@ -82,14 +84,14 @@ def test_a_proven_place_where_hardly_a_pole_fits_is_in_doubt() -> None:
     proof = StartProof(RecoveryConfig())
     proof.believe()
     for _ in range(200):
-        proof.see(matched=1, seen=2, elapsed_s=0.05)
+        proof.add_fit(matched=1, seen=2, elapsed_s=0.05)
         assert not proof.in_doubt
     for _ in range(200):
         # nothing seen says nothing
-        proof.see(matched=0, seen=0, elapsed_s=0.05)
+        proof.add_fit(matched=0, seen=0, elapsed_s=0.05)
         assert not proof.in_doubt
     for _ in range(200):
-        proof.see(matched=0, seen=3, elapsed_s=0.05)
+        proof.add_fit(matched=0, seen=3, elapsed_s=0.05)
     assert proof.in_doubt
     proof.begin()
     assert not proof.in_doubt

@@ -1,0 +1,159 @@
+"""What the filter does when its place is in doubt: explore, start anew, prove where it is.
+
+`exploration.py` and `health.py` say when, `place_search.py` says where.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.samples import PoleScan
+from polemap.localize.config import RecoveryConfig
+from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.particle_filter.estimate import Event
+from polemap.localize.particle_filter.exploration import LikelihoodAverages
+from polemap.localize.particle_filter.health import LostDetector, StartProof, Verdict
+from polemap.localize.particle_filter.particles import ParticleSet
+from polemap.localize.particle_filter.place_search import PlaceSearch
+from polemap.localize.particle_filter.sensor_model import Match, PoleWeigher
+from polemap.map.landmark_map import PoleMap
+
+Floats = NDArray[np.float64]
+
+# share of the particles that start anew where the map may be wrong instead
+_RESTART_SHARE = 0.75
+# searches of a proven place that is in doubt come so many times less often
+_DOUBT_INTERVALS = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Odometry pose `(3,)` at a scan, and the way and time since the last one."""
+
+    odometry_pose: Floats
+    moved_m: float
+    elapsed_s: float
+
+
+class Recovery:
+    """Watches the particle filter and gives its particles other places.
+
+    Args:
+        counts: `reinitializations`, `start_corrections` and `exploration_events` are counted here.
+
+    Attributes:
+        search: where the car may be.
+        averages: of how well scans fit.
+        lost, proof: the judgement of the present place.
+        explored_share: of the particles that the last scan gave another place.
+    """
+
+    def __init__(
+        self,
+        pole_map: PoleMap,
+        config: RecoveryConfig,
+        receiver: GnssReceiver,
+        weigher: PoleWeigher,
+        rng: np.random.Generator,
+        counts: Counter[str],
+    ) -> None:
+        self._weigher = weigher
+        self._rng = rng
+        self.counts = counts
+        self.search = PlaceSearch(pole_map, config, receiver)
+        self.averages = LikelihoodAverages(config.explore_share_max)
+        self.lost = LostDetector(config)
+        self.proof = StartProof(config)
+        self.explored_share = 0.0
+
+    def believe(self) -> None:
+        """Somebody who should know has said where the car is."""
+        self.averages.reset()
+        self.lost.reset()
+        self.proof.believe()
+
+    def recover(
+        self, particles: ParticleSet, scan: PoleScan, odometry_pose: Floats, scan_evidence: float
+    ) -> Event | None:
+        """Start anew when lost, explore when the likelihood has fallen; what was done, if anything.
+
+        Args:
+            scan_evidence: log-likelihood of the scan, averaged over the particles before it.
+        """
+        self.explored_share = 0.0
+        total = len(particles)
+        if self.proof.contradicted:
+            return self._begin_elsewhere(particles, scan, odometry_pose)
+        if self.lost.lost and self.search.rested(scan.stamp_s):
+            # where poles just do not fit, the map may have changed: the old particles keep a part
+            elsewhere = self.lost.scattered or self.lost.astray
+            if not self._restart(
+                particles, 1.0 if elsewhere else _RESTART_SHARE, scan, odometry_pose
+            ):
+                return None
+            self.counts["reinitializations"] += 1
+            return "reinitialized"
+        wanted = round(self.averages.share * total)
+        if wanted == 0 or len(scan) < 2 or not self.search.rested(scan.stamp_s):
+            return None
+        drawn = self.search.draw_anew(wanted, scan.stamp_s, odometry_pose, self._rng)
+        if len(drawn) == 0:
+            return None
+        # newcomers have passed no scan yet: they count by how they stand this one beside the others
+        result = self._weigher.weigh(drawn, scan)
+        self._mix_in(particles, drawn, np.minimum(result.log_likelihood - scan_evidence, 0.0))
+        self.counts["exploration_events"] += 1
+        return "explored"
+
+    def _begin_elsewhere(
+        self, particles: ParticleSet, scan: PoleScan, odometry_pose: Floats
+    ) -> Event | None:
+        """The poles of the last metres fit clearly better at another place."""
+        if not self._restart(particles, _RESTART_SHARE, scan, odometry_pose):
+            return None
+        if self.proof.proven:
+            self.counts["reinitializations"] += 1
+            return "reinitialized"
+        self.counts["start_corrections"] += 1
+        return "initialized"
+
+    def _restart(
+        self, particles: ParticleSet, share: float, scan: PoleScan, odometry_pose: Floats
+    ) -> bool:
+        """Let a share of the particles start anew; whether there was anywhere to start."""
+        count = round(share * len(particles))
+        drawn = self.search.draw_anew(count, scan.stamp_s, odometry_pose, self._rng)
+        if len(drawn) == 0:
+            return False
+        self._mix_in(particles, drawn, np.zeros(len(drawn)))
+        self.averages.reset()
+        self.lost.reset()
+        return True
+
+    def _mix_in(self, particles: ParticleSet, rear: Floats, log_weights: Floats) -> None:
+        """Let poses take the places of as many particles."""
+        self.explored_share = len(rear) / len(particles)
+        particles.replace_some(rear, log_weights)
+
+    def prove(self, scan: PoleScan, fit: Match, pose: Floats, step: Step, *, narrow: bool) -> None:
+        """Ask the last metres' constellation while the place is not proven, or in doubt again."""
+        proof = self.proof
+        proof.add_fit(fit.matched, len(scan), step.elapsed_s)
+        verdict: Verdict = "open"
+        if not proof.proven or proof.in_doubt:
+            intervals = _DOUBT_INTERVALS if proof.proven else 1.0
+            if self.search.rested(scan.stamp_s, intervals):
+                verdict = self.search.verify(
+                    pose, scan.stamp_s, step.odometry_pose, self._rng, proven=proof.proven
+                )
+        proof.add_verdict(
+            verdict,
+            narrow=narrow,
+            matched=fit.matched,
+            possible=min(float(len(scan)), fit.expected),
+            moved_m=step.moved_m,
+        )
