@@ -121,7 +121,7 @@ class PoleScan:
 
 @dataclass(frozen=True, slots=True)
 class VehicleSignals:
-    """A row of a signal log: fast inertial and wheel signals by their CONTRACT name."""
+    """A row of a signal log: fast inertial and wheel signals by the names of its columns."""
 
     stamp_s: float
     arrival_s: float

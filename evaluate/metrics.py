@@ -47,7 +47,7 @@ def nees(estimated: Floats, true: Floats, covariance: Floats) -> Floats:
 def accuracy(
     stamps_s: Floats, poses: Floats, covariance: Floats | None, reference: ReferenceStream
 ) -> dict[str, float]:
-    """The accuracy figures of CONTRACT.md for one trajectory.
+    """The accuracy figures of metrics.json for one trajectory.
 
     `nees_mean` is per degree of freedom (1 is consistent), the reference taken as true; it is
     left out without covariances. All figures are over the poses within the reference's time.

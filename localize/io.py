@@ -36,7 +36,7 @@ def write_run(
     config: Mapping[str, Any],
     looked_s: Mapping[str, Mapping[float, float]] | None = None,
 ) -> None:
-    """Write the files of CONTRACT.md into a folder that exists, and timing.csv of a timed run.
+    """Write the files of a run into a folder that exists, and timing.csv of a timed run.
 
     Args:
         looked_s: seconds that each stage before the particle filter took, by the scan's stamp.

@@ -83,7 +83,7 @@ class LaneFinder:
     tangent at the preview distance. A frame whose line jumps out of the continuity gate gives
     nothing; after `gate_frames` of them in a row the search starts afresh.
 
-    Source: W12 III (mapping, LoG, RANSAC) with ERRATA, Road mapping.
+    Source: W12 III (mapping, LoG, RANSAC) with errata.md, Road mapping.
     """
 
     def __init__(

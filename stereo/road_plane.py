@@ -60,7 +60,7 @@ class RoadCamera:
     def road_to_pixel(self, points_m: Any) -> Floats:
         """Road points `(..., 2)`, x ahead of and y left of the camera, to `(row, column)` from 0.
 
-        Source: W12 (7) with u the row, half angles of view, indices from 1 (ERRATA); from 0 here.
+        Source: W12 (7) with u the row, half angles of view, indices from 1 (errata.md); here 0.
         """
         p = np.asarray(points_m, dtype=np.float64)
         x, y, h = p[..., 0], p[..., 1], self.height_m

@@ -84,7 +84,7 @@ def write_run_folder(
     metrics: dict[str, Any] | None = None,
     **settings: Any,
 ) -> Path:
-    """A run folder of CONTRACT.md."""
+    """A run folder as `polemap localize` writes it."""
     folder.mkdir(parents=True)
     (folder / "pf.tum").write_text(tum_text(pf))
     (folder / "kf.tum").write_text(tum_text(kf))

@@ -179,7 +179,7 @@ class ClonedFilter:
         slots: captures that may be on their way at once (delay over frame period, rounded up,
             plus one).
 
-    Source: W12 (10)-(12) as corrected in ERRATA, Delay by cloning.
+    Source: W12 (10)-(12) as corrected in errata.md, Delay by cloning.
     """
 
     def __init__(

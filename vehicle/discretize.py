@@ -25,7 +25,7 @@ def zero_order_hold(a: Floats, b: Floats, period_s: float) -> tuple[Floats, Floa
     Raises:
         VehicleError: shapes that do not fit or a negative period.
 
-    Source: `expm([[A, B], [0, 0]] T) = [[G, H], [0, I]]` (ERRATA, Discretisation).
+    Source: `expm([[A, B], [0, 0]] T) = [[G, H], [0, I]]` (errata.md, Discretisation).
     """
     n, m = _checked(a, b, period_s)
     block = np.zeros((n + m, n + m))

@@ -50,7 +50,7 @@ def arc_displacement(
             slips outward in a bend (`slip.axle_sideslip_rad`).
         left_m: `(...)` moved aside of that direction.
 
-    Source: S16 (1)-(6), in the form without the division by the yaw rate (ERRATA, Odometry).
+    Source: S16 (1)-(6), in the form without the division by the yaw rate (errata.md, Odometry).
     """
     half = 0.5 * np.asarray(turn_rad, dtype=np.float64)
     chord = np.asarray(distance_m, dtype=np.float64) * sinc(half)

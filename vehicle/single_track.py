@@ -35,7 +35,7 @@ def lateral(car: Car, speed_mps: float) -> tuple[Floats, Floats]:
     beta' = -k0/(mV) beta - (1 + k1/(mV^2)) gamma + 2Cf/(mV) delta,
     gamma' = -k1/I beta - k2/(IV) gamma + 2 Cf lf/I delta + Nz/I.
 
-    Source: W14 (1), (2) as corrected in ERRATA.
+    Source: W14 (1), (2) as corrected in errata.md.
     """
     v = speed_mps
     if v >= KINEMATIC_SPEED_MPS:
@@ -104,7 +104,7 @@ def disturbed_course(car: Car, speed_mps: float, time_constant_s: float) -> tupl
     beta' += d_beta, gamma' += d_gamma, d' = -d / time constant + noise. As random walks only
     four of the five states are observable; the leak makes all five so.
 
-    Source: N13 (18), (19) as corrected in ERRATA.
+    Source: N13 (18), (19) as corrected in errata.md.
     """
     a, b = np.zeros((5, 5)), np.zeros((5, 2))
     a[:3, :3], b[:3] = gps_course(car, speed_mps)

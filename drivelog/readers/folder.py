@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 class FolderReader:
-    """Reads the plain drive folder of CONTRACT.md."""
+    """Reads the plain drive folder of docs/drives.md."""
 
     name = "folder"
 

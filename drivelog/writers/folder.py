@@ -1,4 +1,4 @@
-"""Writes the plain drive folder of CONTRACT.md: drive.yaml, CSV files, PNGs."""
+"""Writes the plain drive folder of docs/drives.md: drive.yaml, CSV files, PNGs."""
 
 from __future__ import annotations
 

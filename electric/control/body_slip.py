@@ -27,7 +27,7 @@ class PiGains:
 def feed_forward_gain(a: Floats, b: Floats) -> float:
     """Yaw moment per steering angle that cancels the steady side-slip, N m / rad.
 
-    `-G_delta(0) / G_N(0)`, from the model `(2, 2)` matrices; W14 (24) with the sign of ERRATA.
+    `-G_delta(0) / G_N(0)`, from the model `(2, 2)` matrices; W14 (24) with the sign of errata.md.
     """
     gains = np.linalg.solve(-a, b)[0]
     return float(-gains[0] / gains[1])
@@ -93,7 +93,7 @@ def distribute_torque(
 ) -> tuple[float, float]:
     """Left and right rear motor torque; the yaw moment goes before the acceleration.
 
-    T = m r a / 2 -+ r N / d; the largest moment is d T / r (W14 (3) with the sign of ERRATA).
+    T = m r a / 2 -+ r N / d; the largest moment is d T / r (W14 (3) with the sign of errata.md).
     """
     turn = radius_m * yaw_moment_nm / rear_track_m
     turn = max(-torque_limit_nm, min(torque_limit_nm, turn))

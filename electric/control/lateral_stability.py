@@ -2,7 +2,7 @@
 
 The planar model is x' = A x + B u + d with x = [beta, gamma], u = [road-wheel angle, yaw moment].
 With u = inv(B) (-A x + K (x* - x) - d) the closed loop is x' = K (x* - x) in both states, with no
-coupling between them (N13 (29)-(31) in the form of ERRATA, Lateral stability).
+coupling between them (N13 (29)-(31) in the form of errata.md, Lateral stability).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def neutral_reference(
     Neutral steer (Cf lf = Cr lr) makes the yaw rate V delta / l at every speed, and the side-slip
     (lr / l - m lf V^2 / (2 Cr l^2)) delta; stiffness per tyre.
 
-    Source: N13, 4.2; the steady state of the single-track model (ERRATA, Corrected equations).
+    Source: N13, 4.2; the steady state of the single-track model (errata.md, Corrected equations).
     """
     length = front_m + rear_m
     sag = mass_kg * front_m * speed_mps**2 / (2.0 * rear_stiffness_n * length**2)

@@ -1,7 +1,7 @@
 """Slip-ratio control of one driven wheel by sliding mode, with a driving-force observer.
 
 The slip ratio of a driven wheel is lambda = (r omega - v) / (r omega). All equations in the
-corrected form of ERRATA, Slip ratio (N13 (23)-(28) as printed have a sign and a factor wrong).
+corrected form of errata.md, Slip ratio (N13 (23)-(28) as printed have a sign and a factor wrong).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class DrivingForceObserver:
     Realised without differentiating: with the cut-off g, z = low-pass(T + g I omega) and
     F = (z - g I omega) / r, which is the same transfer function.
 
-    Source: N13 ref. (16) and ERRATA, Slip ratio.
+    Source: N13 ref. (16) and errata.md, Slip ratio.
     """
 
     def __init__(self, inertia_kgm2: float, radius_m: float, cutoff_radps: float) -> None:

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 class BicycleKalman:
     """State `[beta, gamma]`, measured: yaw rate.
 
-    Source: W12 (1), W14 (1), (2) as corrected in ERRATA.
+    Source: W12 (1), W14 (1), (2) as corrected in errata.md.
     """
 
     fields = ("sideslip_rad", "yaw_rate_radps")

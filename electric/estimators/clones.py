@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 class CloneKalman(VisionFilter):
     """State `[beta, gamma, psi, y_l]` and, per capture on its way, `[psi, y_l]` at that moment.
 
-    Source: ERRATA, Delay by cloning at 1 ms (W12 (10)-(13), W14 (12), (13) corrected).
+    Source: errata.md, Delay by cloning at 1 ms (W12 (10)-(13), W14 (12), (13) corrected).
     """
 
     def __init__(self, car: Car, config: EstimatorConfig) -> None:

@@ -87,7 +87,7 @@ class CompensatedKalman:
     The reported deviation is that of the steady filter at the speed of now; it ignores the
     delay. When pictures stay away it grows as the gyro alone lets it.
 
-    Source: W14 (17)-(22) as corrected in ERRATA, Inter-sample compensation.
+    Source: W14 (17)-(22) as corrected in errata.md, Inter-sample compensation.
     """
 
     fields = ("sideslip_rad", "yaw_rate_radps", "heading_rad", "lateral_offset_m")

@@ -42,7 +42,7 @@ class MeasurementReconstructionKalman(VisionFilter):
     errors which reconstruction and state share are not counted: the stated deviation is a little
     small.
 
-    Source: N13 (20)-(22) as corrected in ERRATA, with the product of the stored transitions.
+    Source: N13 (20)-(22) as corrected in errata.md, with the product of the stored transitions.
     """
 
     def __init__(self, car: Car, config: EstimatorConfig) -> None:

@@ -108,7 +108,7 @@ class MultiRateKalman(ReplayKalman):
     `camera_delay_s` = 0 is the filter that ignores the delay, one camera period is W12's and
     W14's; with the true delay it is the exact filter.
 
-    Source: W12 (12), (13), W14 (16) as corrected in ERRATA.
+    Source: W12 (12), (13), W14 (16) as corrected in errata.md.
     """
 
     def _taken_at(self, stamp_s: float, arrival_s: float) -> float:

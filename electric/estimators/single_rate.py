@@ -23,7 +23,7 @@ class SingleRateKalman(VisionFilter):
     states, together with the yaw rate of now. Between captures the output holds still, and what
     the fast sensors say is lost.
 
-    Source: W12 (10)-(11), W14 (12)-(15) as corrected in ERRATA (one camera frame, blkdiag with
+    Source: W12 (10)-(11), W14 (12)-(15) as corrected in errata.md (one camera frame, blkdiag with
     the lower block `[S 0]`).
     """
 

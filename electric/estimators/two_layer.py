@@ -60,7 +60,7 @@ class TwoLayerKalman:
     disturbances leak. The delay is met exactly by clones, by the paper's reconstruction (22) with
     the product of the stored transitions, or ignored for comparison.
 
-    Source: N13 (1)-(22) as corrected in ERRATA, GPS layers 1 and 2.
+    Source: N13 (1)-(22) as corrected in errata.md, GPS layers 1 and 2.
     """
 
     fields = (

@@ -38,7 +38,7 @@ class UnevenDelayKalman(VisionFilter):
     as printed, the filter diverges when the delay is one frame. The covariance takes the value
     for one of now, so the stated deviation is a little small.
 
-    Source: W13 (15) as corrected in ERRATA.
+    Source: W13 (15) as corrected in errata.md.
     """
 
     def __init__(self, car: Car, config: EstimatorConfig) -> None:
@@ -95,7 +95,7 @@ class ReconstructionKalman(UnevenDelayKalman):
     and the late residual; the clones know a little more, because the yaw rates since the capture
     also sharpen what was expected of the picture (under 1 % here).
 
-    Source: Larsen et al., CDC 1998, as given in ERRATA, Uneven delay.
+    Source: Larsen et al., CDC 1998, as given in errata.md, Uneven delay.
     """
 
     def _correct(self, seen: _Seen, residual: Floats) -> None:

@@ -31,7 +31,7 @@ class SensorModel:
     The accelerometer reads `ay + g sin(roll)` with the body's roll proportional to ay. The camera
     looks along a straight lane on the line north = 0 that runs east.
 
-    Source: camera and gyro of ERRATA, What simulation reproduces; GPS N13 2.1 and 5.1 (20 Hz
+    Source: camera and gyro of errata.md, What simulation reproduces; GPS N13 2.1 and 5.1 (20 Hz
     receiver, thinned to 5 Hz and 100 ms late in the paper's tests); the rest are assumptions.
     """
 

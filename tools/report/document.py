@@ -53,7 +53,7 @@ def document_text(content: Mapping[str, Any]) -> str:
 
 
 def _repeatability(result: RouteResult) -> dict[str, dict[str, Any]]:
-    """One entry a route and setting, with the keys of CONTRACT.md first."""
+    """One entry a route and setting, the documented keys first."""
     named = {one.system.name: one for one in result.systems}
     entries = {}
     for setting in result.route.setting_names:

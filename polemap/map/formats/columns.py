@@ -27,7 +27,7 @@ KNOWN = (
 
 
 def to_columns(pole_map: PoleMap) -> Columns:
-    """The columns of CONTRACT.md (without the geometry), and the extra ones."""
+    """The columns of a map file (without the geometry), and the extra ones."""
     columns: Columns = {
         "id": pole_map.ids,
         "width_m": pole_map.width_m,

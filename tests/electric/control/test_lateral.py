@@ -103,7 +103,7 @@ def test_neutral_reference_is_the_steady_state_of_a_neutral_car() -> None:
 
 
 def test_feed_forward_is_the_published_closed_form() -> None:
-    # ERRATA, 2DOF slip control: -2652 N m / rad at 25 km/h for Table I
+    # errata.md, 2DOF slip control: -2652 N m / rad at 25 km/h for Table I
     assert feed_forward_gain(A, B) == pytest.approx(-2652.0, abs=0.5)
 
 
