@@ -175,7 +175,7 @@ def _localize(
     stamps, poses, motion, flags, tick = [], [], [], [], 0
     for arrival, kind, sample in events:
         while tick / 100 < arrival:
-            answer = localizer.pose(tick / 100)
+            answer = localizer.pose_at(tick / 100)
             tick += 1
             if answer is not None:
                 stamps.append(answer.stamp_s)
@@ -183,9 +183,9 @@ def _localize(
                 motion.append((answer.speed_mps, answer.yaw_rate_radps))
                 flags.append(bool(answer.flag))
         if kind == 1:
-            localizer.push_estimate(_estimate(sample, arrival))
+            localizer.add_estimate(_estimate(sample, arrival))
         else:
-            localizer.push(replace(sample, arrival_s=arrival))
+            localizer.add_sample(replace(sample, arrival_s=arrival))
     count = localizer.summary().get("reinitializations", 0)
     return np.array(stamps), np.array(poses), np.array(motion), np.array(flags), count
 

@@ -66,8 +66,8 @@ class PoseUpdate:
 class Localizer:
     """A pole map and a stream of samples to a pose at any moment.
 
-    `push` and `pose` may be called from different threads: looking at a frame does not keep
-    `pose` waiting. Samples must be pushed in the order in which they arrive.
+    `add_sample` and `pose_at` may be called from different threads: a frame that is processed does
+    not keep `pose_at` waiting. Samples must be added in the order in which they arrive.
 
     Args:
         pole_map: None localizes by odometry and GNSS alone.
@@ -75,7 +75,7 @@ class Localizer:
         wheelbase_m: rear axle to front axle.
         rng: all randomness.
         gnss_antenna_m: `(2,)` in the vehicle frame.
-        perception: finds poles in stereo frames; not needed where scans are pushed.
+        perception: finds poles in stereo frames; not needed where scans are added.
         processing_delay_s: for replay; holds a pose back as long as the live system would need.
         on_update: called with every pose of the particle filter once its fate is known.
         clock: a monotonic clock in seconds; with it, `timings_s` collects the time of each stage.
@@ -119,7 +119,7 @@ class Localizer:
         self.counts: Counter[str] = Counter()
         self.timings_s = self._times.seconds
 
-    def push(self, sample: Sample) -> PfEstimate | None:
+    def add_sample(self, sample: Sample) -> PfEstimate | None:
         """Take a sample in; the particle filter's estimate if it led to one.
 
         Reference poses and vehicle signals are no input of a localizer and are passed over.
@@ -128,14 +128,14 @@ class Localizer:
             InputError: a stereo frame, but no perception was given.
         """
         if isinstance(sample, OdometrySample):
-            self._push_odometry(sample)
+            self._add_odometry(sample)
         elif isinstance(sample, GnssFix):
-            self._push_gnss(sample)
+            self._add_fix(sample)
         elif isinstance(sample, PoleScan | StereoFrame) and self._particle_filter is not None:
-            return self._push_view(sample)
+            return self._process_view(sample)
         return None
 
-    def push_estimate(self, estimate: PfEstimate) -> None:
+    def add_estimate(self, estimate: PfEstimate) -> None:
         """Take in a pose of another source than the own particle filter, late as it may be.
 
         It passes the same clock watch, health policy and gate.
@@ -145,7 +145,7 @@ class Localizer:
             if stamp is not None:
                 self._hold(replace(estimate, stamp_s=stamp), estimate.arrival_s)
 
-    def pose(self, stamp_s: float) -> OutputPose | None:
+    def pose_at(self, stamp_s: float) -> OutputPose | None:
         """The pose at `stamp_s` from what has arrived; None before the filter has started.
 
         Asked at rising stamps, the answers never jump but where they are flagged. For a stamp at
@@ -176,7 +176,7 @@ class Localizer:
 
     # the fast half
 
-    def _push_odometry(self, sample: OdometrySample) -> None:
+    def _add_odometry(self, sample: OdometrySample) -> None:
         with self._fast:
             stamp = self._clocks["odometry"].checked_stamp(sample.stamp_s, sample.arrival_s)
             if stamp is None:
@@ -191,7 +191,7 @@ class Localizer:
             if self._particle_filter is not None:
                 self._inbox.append(replace(sample, stamp_s=stamp))
 
-    def _push_gnss(self, fix: GnssFix) -> None:
+    def _add_fix(self, fix: GnssFix) -> None:
         with self._fast:
             stamp = self._clocks["gnss"].checked_stamp(fix.stamp_s, fix.arrival_s)
             if stamp is None:
@@ -250,7 +250,7 @@ class Localizer:
 
     # the slow half
 
-    def _push_view(self, sample: PoleScan | StereoFrame) -> PfEstimate | None:
+    def _process_view(self, sample: PoleScan | StereoFrame) -> PfEstimate | None:
         assert self._particle_filter is not None
         with self._fast:
             stamp = self._clocks["camera"].checked_stamp(sample.stamp_s, sample.arrival_s)
@@ -267,7 +267,7 @@ class Localizer:
                     self._particle_filter.add_fix(earlier)
             if stamp is None:
                 return None
-            scan = self._look(replace(sample, stamp_s=stamp))
+            scan = self._scan_of(replace(sample, stamp_s=stamp))
             with self._times.of("particle_filter"):
                 estimate = self._particle_filter.process_scan(scan)
             spent_s = self._times.last_s("particle_filter")
@@ -280,11 +280,11 @@ class Localizer:
             self._hold(estimate, sample.arrival_s, spent_s)
         return estimate
 
-    def _look(self, sample: PoleScan | StereoFrame) -> PoleScan:
+    def _scan_of(self, sample: PoleScan | StereoFrame) -> PoleScan:
         if isinstance(sample, PoleScan):
             return sample
         if self._perception is None:
-            raise InputError("a stereo frame was pushed, but this localizer has no perception")
+            raise InputError("a stereo frame was added, but this localizer has no perception")
         with self._times.of("perception"):
             return self._perception.scan_frame(sample)
 

@@ -128,7 +128,7 @@ def replay(
     begin = clock() if clock else 0.0
     for number, sample in enumerate(_samples(drive, scans if pole_map is not None else ())):
         ticks.up_to(sample.arrival_s)
-        localizer.push(sample)
+        localizer.add_sample(sample)
         if progress and number % 1000 == 999:
             progress(1000)
     ticks.finish()
@@ -198,7 +198,7 @@ class _Ticks:
         assert self._next is not None
         stamp = self._next / self._rate
         self._next += 1
-        answer = self._localizer.pose(stamp)
+        answer = self._localizer.pose_at(stamp)
         if answer is None:
             return
         self._stamps.append(stamp)

@@ -26,8 +26,8 @@ Live, sample by sample as they arrive:
 
     localizer = polemap.Localizer(pole_map, friday)
     for sample in samples:
-        localizer.push(sample)
-        pose = localizer.pose(sample.arrival_s)
+        localizer.add_sample(sample)
+        pose = localizer.pose_at(sample.arrival_s)
 
 Every setting has a default; `Settings` overrides:
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -94,5 +96,17 @@ def first_problem(error: ValidationError, settings: type[BaseModel]) -> str:
         model: Any = settings
         for part in first["loc"][:-1]:
             model = model.model_fields[str(part)].annotation
-        return f"unknown key '{key}'; known here: {', '.join(model.model_fields)}"
+        text = f"unknown key '{key}'; known here: {', '.join(model.model_fields)}"
+        near = get_close_matches(key, _keys(settings), n=1)
+        return f"{text}; did you mean '{near[0]}'?" if near else text
     return f"{key} = {first.get('input')!r}: {first['msg'].lower()}"
+
+
+def _keys(model: type[BaseModel], section: str = "") -> Iterator[str]:
+    """Every key of the settings, with the sections that lead to it."""
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from _keys(kind, f"{section}{name}.")
+        else:
+            yield section + name

@@ -20,7 +20,7 @@ from polemap.settings import Settings
 class Localizer(live.Localizer):
     """A pole map and a stream of samples to a pose at any moment, for use in the car.
 
-    Push odometry, fixes and stereo frames (or scans) as they arrive; ask for the pose whenever it
+    Add odometry, fixes and stereo frames (or scans) as they arrive; ask for the pose whenever it
     is needed, from another thread if you like.
 
     Args:

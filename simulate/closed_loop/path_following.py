@@ -243,7 +243,7 @@ class _Drive:
                 + ODOMETRY.yaw_noise_sd_radps * rng.standard_normal()
             )
             if self._scenario.source != "truth":
-                self._localizer.push(OdometrySample(now, now, self._speed, self._yaw_rate))
+                self._localizer.add_sample(OdometrySample(now, now, self._speed, self._yaw_rate))
         if self._scenario.source == "truth":
             return
         rear = self._rear(state)
@@ -253,14 +253,14 @@ class _Drive:
             kick = GNSS.wander_sd_m * np.sqrt(1.0 - keep**2) * rng.standard_normal(2)
             self._gnss_error = keep * self._gnss_error + kick
             x, y = (self._gnss_error + GNSS.noise_sd_m * rng.standard_normal(2)).tolist()
-            self._localizer.push(GnssFix(now, now, rear.x_m + x, rear.y_m + y, 1.0))
+            self._localizer.add_sample(GnssFix(now, now, rear.x_m + x, rear.y_m + y, 1.0))
         if now >= ticks["scan"] - 1e-9:
             ticks["scan"] += SCAN_S
             self._waiting.append((now, np.array(rear)))
         while self._waiting and self._waiting[0][0] + self._scenario.camera_delay_s <= now + 1e-9:
             stamp, pose = self._waiting.popleft()
             scan = replace(self._detector.scan(stamp, pose), arrival_s=now)
-            found = self._localizer.push(scan)
+            found = self._localizer.add_sample(scan)
             self._raw = found if found is not None else self._raw
 
     def _believed(self, now: float, rear: Pose2D) -> Pose2D | None:
@@ -273,7 +273,7 @@ class _Drive:
         if self._scenario.source == "raw":
             ready = self._raw is not None and self._raw.healthy
             return Pose2D(*self._raw.pose.tolist()) if self._raw is not None and ready else None
-        pose = self._localizer.pose(now)
+        pose = self._localizer.pose_at(now)
         if pose is None or pose.pose_age_s > 1.0:
             return None
         return Pose2D(*pose.pose)

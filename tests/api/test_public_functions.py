@@ -106,8 +106,8 @@ def test_live_gives_poses(street: tuple[Drive, PoleMap]) -> None:
     localizer = polemap.Localizer(pole_map, drive, FEW, seed=4)
     poses = []
     for sample in drive.samples():
-        localizer.push(sample)
-        poses.append(localizer.pose(sample.arrival_s))
+        localizer.add_sample(sample)
+        poses.append(localizer.pose_at(sample.arrival_s))
     known = [pose for pose in poses if pose is not None]
     assert len(known) > 50
     other = replace(pole_map, frame=EarthFrame("local", name="elsewhere"))

@@ -47,9 +47,9 @@ def run(street, samples, **options):
     answers, tick = [], 0
     for sample in samples:
         while tick / 100 < sample.arrival_s:
-            answers.append(localizer.pose(tick / 100))
+            answers.append(localizer.pose_at(tick / 100))
             tick += 1
-        localizer.push(sample)
+        localizer.add_sample(sample)
     return [answer for answer in answers if answer is not None], localizer
 
 
@@ -90,29 +90,29 @@ def test_a_healthy_drive_is_followed(street, good):
 def test_asking_twice_is_asking_the_filter(good):
     answers, localizer = good
     last = answers[-1].stamp_s
-    past = localizer.pose(last - 0.2)
+    past = localizer.pose_at(last - 0.2)
     assert past is not None
     assert past.flag == ""
-    assert localizer.pose(-100.0) is None
+    assert localizer.pose_at(-100.0) is None
 
 
 def test_before_any_position_there_is_no_pose(street):
     localizer = make(street)
-    assert localizer.pose(0.0) is None
-    localizer.push(OdometrySample(0.0, 0.0, 5.0, 0.0))
-    assert localizer.pose(0.01) is None
+    assert localizer.pose_at(0.0) is None
+    localizer.add_sample(OdometrySample(0.0, 0.0, 5.0, 0.0))
+    assert localizer.pose_at(0.01) is None
 
 
 def test_reference_poses_are_no_input(street):
     localizer = make(street)
-    localizer.push(ReferencePose(0.0, Pose2D(0.0, 0.0, 0.0), 0.01))
-    assert localizer.pose(1.0) is None
+    localizer.add_sample(ReferencePose(0.0, Pose2D(0.0, 0.0, 0.0), 0.01))
+    assert localizer.pose_at(1.0) is None
 
 
 def test_a_frame_without_perception_is_refused(street):
     image = np.zeros((4, 4), dtype=np.uint8)
     with pytest.raises(InputError, match="has no perception"):
-        make(street).push(StereoFrame(0.0, 0.0, 0, image, image))
+        make(street).add_sample(StereoFrame(0.0, 0.0, 0, image, image))
 
 
 def damage_nan(samples):
@@ -191,8 +191,8 @@ def test_poses_whose_covariance_is_none_are_dropped(street):
     localizer = make(street)
     samples = inputs(street)
     for sample in samples[:600]:
-        localizer.push(sample)
-    before = localizer.pose(samples[599].arrival_s + 0.01)
+        localizer.add_sample(sample)
+    before = localizer.pose_at(samples[599].arrival_s + 0.01)
     broken = None
     for sample in samples[600:]:
         if sample in street.scans:
@@ -203,7 +203,7 @@ def test_poses_whose_covariance_is_none_are_dropped(street):
     assert broken is not None
     assert localizer._offer(broken)[0] == "dropped:bad_covariance"
     assert localizer.summary()["pose_bad_covariance"] == 1
-    after = localizer.pose(samples[599].arrival_s + 0.02)
+    after = localizer.pose_at(samples[599].arrival_s + 0.02)
     assert before is not None
     assert after is not None
     assert math.dist(before.pose[:2], after.pose[:2]) < 0.5
@@ -233,7 +233,7 @@ def test_updates_are_told_with_their_fate(street):
     assert all(math.isnan(u.update_s) and math.isnan(u.offer_s) for u in updates)
 
 
-def test_two_threads_may_push_and_ask(street):
+def test_two_threads_may_add_and_ask(street):
     """One thread drives, one asks all the time; the answers are poses of the same drive."""
     localizer = make(street)
     answers, failures, done, now = [], [], threading.Event(), [0.0]
@@ -241,7 +241,7 @@ def test_two_threads_may_push_and_ask(street):
     def ask():
         try:
             while not done.is_set():
-                answer = localizer.pose(now[0])
+                answer = localizer.pose_at(now[0])
                 if answer is not None:
                     answers.append(answer)
                 time.sleep(0.0005)
@@ -251,12 +251,12 @@ def test_two_threads_may_push_and_ask(street):
     thread = threading.Thread(target=ask)
     thread.start()
     for sample in inputs(street):
-        localizer.push(sample)
+        localizer.add_sample(sample)
         now[0] = sample.arrival_s
     done.set()
     thread.join()
     assert not failures
-    # what was pushed decides, not who asked meanwhile: the filter's state is the same
+    # what was added decides, not who asked meanwhile: the filter's state is the same
     assert localizer._filter.newest.mean == pytest.approx(
         _after(street)._filter.newest.mean, abs=1e-12
     )
@@ -266,5 +266,5 @@ def test_two_threads_may_push_and_ask(street):
 def _after(street):
     localizer = make(street)
     for sample in inputs(street):
-        localizer.push(sample)
+        localizer.add_sample(sample)
     return localizer

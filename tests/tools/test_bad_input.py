@@ -103,7 +103,9 @@ def test_an_empty_map(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize(
     ("setting", "parts"),
     [
-        ("localize.partikles=5", ["partikles", "particles"]),
+        ("localize.partikles=5", ["partikles", "did you mean 'localize.particles'?"]),
+        ("localize.gnss_sd_m=5", ["gnss_sd_m", "did you mean 'localize.gnss.sd_m'?"]),
+        ("localize.learn_noise=false", ["did you mean 'localize.odometry.learn_noise'?"]),
         ("localize.particles=-5", ["localize.particles", "-5"]),
         ("localize.particles", ["key=value"]),
         ("nowhere.particles=5", ["nowhere"]),
