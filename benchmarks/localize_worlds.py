@@ -28,9 +28,9 @@ from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.samples import Image, PoleScan, StereoFrame
-from polemap.evaluation.metrics import nees, pose_errors
+from polemap.evaluation.errors import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.replay import Trajectory, replay
+from polemap.localize.replay import replay
 from polemap.map.landmark_map import PoleMap
 from polemap.perception import PolePerception
 from polemap.simulate.config import SimulateConfig
@@ -39,6 +39,7 @@ from polemap.simulate.scenario import Scenario
 from polemap.simulate.world import World, make_world
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 
@@ -132,7 +133,7 @@ def judge(
     run = replay(lap, pole_map, scans, LocalizeConfig(**changes), seed=seed)
     particle, output = (_errors(track, table) for track in (run.pf, run.kf))
     lateral, along, yaw, consistency, largest = particle
-    counts = run.metrics.get("counts", {})
+    counts = run.counts
     again = float(counts.get("reinitializations", 0))
     return [
         lateral, along, yaw, consistency, largest, output[0], output[1], output[3], again
@@ -140,7 +141,7 @@ def judge(
 
 
 def _errors(track: Trajectory, table: NDArray[np.void]) -> tuple[float, ...]:
-    stamps = track.stamps_s
+    stamps = track.stamp_s
     rows = stamps > stamps[0] + SETTLED_S
     true = np.column_stack(
         [
@@ -151,6 +152,7 @@ def _errors(track: Trajectory, table: NDArray[np.void]) -> tuple[float, ...]:
     )
     error = pose_errors(track.poses[rows], true)
     along, lateral, yaw = np.sqrt((error**2).mean(axis=0)).tolist()
+    assert track.covariance is not None
     consistency = nees(track.poses[rows], true, track.covariance[rows])
     largest = np.hypot(error[:, 0], error[:, 1]).max()
     return (

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.evaluation.metrics import nees, pose_errors
+from polemap.evaluation.errors import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.filter import OutputFilter
@@ -130,10 +130,10 @@ def consistency(seeds: int = 50, particles: int = 300) -> dict[str, dict[str, fl
         street = simulate_points(scenario, np.random.default_rng(seed))
         config = LocalizeConfig(particles=particles)
         done = replay(street.drive, street.pole_map, street.scans, config, seed=seed)
-        pf_late = done.pf.stamps_s > 8.0
-        kf_late = done.kf.stamps_s > 8.0
-        pf_true = street.motion.at(done.pf.stamps_s[pf_late])
-        kf_true = street.motion.at(done.kf.stamps_s[kf_late])
+        pf_late = done.pf.stamp_s > 8.0
+        kf_late = done.kf.stamp_s > 8.0
+        pf_true = street.motion.at(done.pf.stamp_s[pf_late])
+        kf_true = street.motion.at(done.kf.stamp_s[kf_late])
         error = pose_errors(done.kf.poses[kf_late], kf_true)
         distance = np.hypot(error[:, 0], error[:, 1])
         if np.median(distance) > 2.0:
@@ -144,6 +144,7 @@ def consistency(seeds: int = 50, particles: int = 300) -> dict[str, dict[str, fl
             ("pf", pf_true, pf_late, done.pf),
             ("kf", kf_true, kf_late, done.kf),
         ):
+            assert path.covariance is not None
             rows[name].append(
                 float(np.nanmean(nees(path.poses[late], true, path.covariance[late])) / 3)
             )

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_file
 from polemap.evaluation.laps import find_stretches
 from polemap.evaluation.repeatability import deviations, guides_of, repeatability
-from polemap.evaluation.trajectory import Trajectory
 from polemap.simulate.route import make_route
 from polemap.simulate.scenario import Scenario, load_scenario
+from polemap.vehicle.trajectory import Trajectory
 
 # Street and laps of the worlds, on a shorter way round: a lap of 40 s keeps the whole in its time.
 CORNERS_M: dict[str, list[tuple[float, float]] | None] = {

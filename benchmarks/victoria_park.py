@@ -28,9 +28,10 @@ from polemap.config import PolemapConfig
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.samples import PoleScan
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.replay import Run, Trajectory, replay
+from polemap.localize.replay import Run, replay
 from polemap.map.landmark_map import PoleMap
 from polemap.perception import scan_drive
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 
@@ -63,13 +64,13 @@ def drive_through(seed: int, pole_map: PoleMap | None, config: LocalizeConfig) -
 def errors(drive: Drive, track: Trajectory, pole_map: PoleMap, *, near: bool) -> tuple[Floats, ...]:
     """Stamps and position errors `(n,)` near trees, or elsewhere."""
     assert drive.reference is not None
-    truth = drive.reference.at(track.stamps_s)[:, :2]
-    known = np.isfinite(truth).all(axis=1) & (track.stamps_s > track.stamps_s[0] + SETTLED_S)
+    truth = drive.reference.at(track.stamp_s)[:, :2]
+    known = np.isfinite(truth).all(axis=1) & (track.stamp_s > track.stamp_s[0] + SETTLED_S)
     trees = KDTree(pole_map.points_m).query_ball_point(
         np.nan_to_num(truth), NEAR_M, return_length=True
     )
     rows = known & ((trees >= NEAR_TREES) == near)
-    return track.stamps_s[rows], np.hypot(*(track.poses[rows, :2] - truth[rows]).T)
+    return track.stamp_s[rows], np.hypot(*(track.poses[rows, :2] - truth[rows]).T)
 
 
 def figures(stamps_s: Floats, error_m: Floats) -> dict[str, float]:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose
-from polemap.vehicle.pose import Pose2D, wrap_angle
+from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.trajectory import interpolate_poses
 
 Floats = NDArray[np.float64]
 Rows = slice | NDArray[np.bool_] | NDArray[np.int64]
@@ -99,18 +100,7 @@ class ReferenceStream:
 
         NaN before the first and after the last pose and inside gaps longer than `max_gap_s`.
         """
-        stamps = np.atleast_1d(np.asarray(stamps_s, dtype=np.float64))
-        result = np.full((len(stamps), 3), np.nan)
-        if not len(self):
-            return result
-        inside, low, high, share = self._bracket(stamps, max_gap_s)
-        start, end = self.poses[low], self.poses[high]
-        step = end - start
-        step[:, 2] = wrap_angle(step[:, 2])
-        poses = start + share[:, None] * step
-        poses[:, 2] = wrap_angle(poses[:, 2])
-        result[inside] = poses
-        return result
+        return interpolate_poses(self.stamp_s, self.poses, stamps_s, max_gap_s)
 
     def sd_at(self, stamps_s: Any) -> Floats:
         """Standard deviations `(m,)` at the stamps `(m,)`, of the nearest pose before."""
@@ -119,22 +109,6 @@ class ReferenceStream:
             return np.full(len(stamps), np.nan)
         low = np.clip(np.searchsorted(self.stamp_s, stamps, side="right") - 1, 0, len(self) - 1)
         return np.asarray(self.sd_m[low])
-
-    def _bracket(
-        self, stamps: Floats, max_gap_s: float
-    ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64], Floats]:
-        low = np.searchsorted(self.stamp_s, stamps, side="right") - 1
-        within = (low >= 0) & (stamps <= self.stamp_s[-1])
-        low = np.clip(low, 0, len(self) - 1)
-        high = np.minimum(low + 1, len(self) - 1)
-        gap = self.stamp_s[high] - self.stamp_s[low]
-        exact = stamps == self.stamp_s[low]
-        inside = within & (exact | (gap <= max_gap_s))
-        low, high, gap = low[inside], high[inside], gap[inside]
-        share = np.where(
-            gap > 0, (stamps[inside] - self.stamp_s[low]) / np.where(gap > 0, gap, 1), 0
-        )
-        return inside, low, high, share
 
     def sample(self, row: int) -> ReferencePose:
         """The sample of a row."""

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from polemap.evaluation.meanpath import MeanPath, mean_path
-from polemap.evaluation.trajectory import Trajectory
 from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

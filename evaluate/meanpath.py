@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from polemap.evaluation.trajectory import Trajectory
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

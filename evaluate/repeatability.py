@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from polemap.evaluation.laps import Stretch
 from polemap.evaluation.meanpath import MeanPath
-from polemap.evaluation.trajectory import Trajectory
 from polemap.vehicle.kalman import chi_square_quantile
 from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

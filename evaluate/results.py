@@ -7,8 +7,8 @@ from math import sqrt
 
 import numpy as np
 
-from polemap.evaluation.accuracy import Errors
 from polemap.evaluation.bootstrap import Blocks
+from polemap.evaluation.errors import Errors
 from polemap.evaluation.exclusions import (
     Exclusion,
 )
@@ -20,8 +20,8 @@ from polemap.evaluation.repeatability import (
     Repeatability,
 )
 from polemap.evaluation.routes import Route
-from polemap.evaluation.trajectory import Trajectory
 from polemap.vehicle.kalman import chi_square_quantile
+from polemap.vehicle.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.evaluation.accuracy import Errors, all_blocks, errors_against, settled_summary
 from polemap.evaluation.bootstrap import Blocks
+from polemap.evaluation.error_blocks import all_blocks, settled_summary
+from polemap.evaluation.errors import Errors, errors_against
 from polemap.evaluation.exclusions import (
     Exclusion,
     UserInterval,
@@ -33,7 +34,7 @@ from polemap.evaluation.repeatability import (
 )
 from polemap.evaluation.results import RouteResult, System, SystemResult
 from polemap.evaluation.routes import Recording, Route
-from polemap.evaluation.trajectory import Trajectory
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

@@ -13,13 +13,14 @@ from scipy.spatial import KDTree
 
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError, PolemapError
+from polemap.drivelog.tum import read_tum
 from polemap.evaluation.exclusions import START_UP_S
 from polemap.evaluation.laps import SAME_ROAD_M, Span
 from polemap.evaluation.runs.io import RunSet
-from polemap.evaluation.trajectory import Trajectory, read_tum
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

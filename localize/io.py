@@ -13,8 +13,8 @@ import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
-from polemap.drivelog.errors import InputError
-from polemap.localize.replay import Run, Trajectory
+from polemap.drivelog.tum import write_tum
+from polemap.localize.replay import Run
 
 Floats = NDArray[np.float64]
 
@@ -33,12 +33,15 @@ OUTPUT_COLUMNS = (
 def write_run(
     folder: Path,
     run: Run,
+    metrics: Mapping[str, Any],
     config: Mapping[str, Any],
     looked_s: Mapping[str, Mapping[float, float]] | None = None,
 ) -> None:
     """Write the files of a run into a folder that exists, and timing.csv of a timed run.
 
     Args:
+        metrics: content of metrics.json.
+        config: content of config.yaml, every setting as used.
         looked_s: seconds that each stage before the particle filter took, by the scan's stamp.
     """
     write_tum(folder / "pf.tum", run.pf)
@@ -46,50 +49,9 @@ def write_run(
     _write_health(folder / "health.csv", run)
     _write_output(folder / "output.csv", run)
     write_config(folder / "config.yaml", config)
-    write_metrics(folder / "metrics.json", run.metrics)
+    write_metrics(folder / "metrics.json", metrics)
     if any(isfinite(update.update_s) for update in run.updates):
         _write_timing(folder / "timing.csv", run, looked_s or {})
-
-
-def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """`stamp x y z qx qy qz qw` per line; z, qx and qy are 0 in the plane."""
-    half = 0.5 * trajectory.poses[:, 2]
-    table = np.zeros((len(half), 8))
-    table[:, 0] = trajectory.stamps_s
-    table[:, 1:3] = trajectory.poses[:, :2]
-    table[:, 6], table[:, 7] = np.sin(half), np.cos(half)
-    with atomic_file(path) as part, part.open("w", encoding="utf-8") as file:
-        # repr is the shortest text that reads back to the same double
-        file.writelines(" ".join(map(_number, row)) + "\n" for row in table.tolist())
-
-
-def read_tum(path: Path) -> tuple[Floats, Floats]:
-    """Stamps `(n,)` and poses `(n, 3)` (east, north, yaw) of a TUM trajectory.
-
-    Raises:
-        InputError: no such file, or a line that does not hold eight numbers.
-    """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a TUM trajectory ({error})") from error
-    rows = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            row = [float(word) for word in line.split()]
-        except ValueError as error:
-            raise InputError(f"{path}:{number}: {error}") from error
-        if len(row) != 8 or not np.isfinite(row).all():
-            raise InputError(
-                f"{path}:{number}: expected 'stamp x y z qx qy qz qw', eight finite numbers"
-            )
-        rows.append(row)
-    table = np.array(rows).reshape(-1, 8)
-    qx, qy, qz, qw = table[:, 4], table[:, 5], table[:, 6], table[:, 7]
-    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-    return table[:, 0], np.column_stack([table[:, 1:3], yaw])
 
 
 def write_config(path: Path, config: Mapping[str, Any]) -> None:
@@ -135,8 +97,10 @@ def _write_timing(path: Path, run: Run, looked_s: Mapping[str, Mapping[float, fl
 
 def _write_output(path: Path, run: Run) -> None:
     p, out = run.kf.covariance, run.output
+    if p is None:
+        raise ValueError("a run states the covariance of its output")
     table = np.column_stack(
-        [run.kf.stamps_s, out[:, 0], out[:, 1], p[:, 0, 0], p[:, 1, 1], p[:, 0, 1], p[:, 2, 2],
+        [run.kf.stamp_s, out[:, 0], out[:, 1], p[:, 0, 0], p[:, 1, 1], p[:, 0, 1], p[:, 2, 2],
          out[:, 3], out[:, 2]]
     )  # fmt: skip
     with atomic_file(path) as part, part.open("w", encoding="utf-8") as file:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import ceil, floor
-from typing import Any
+from math import ceil, floor, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,25 +13,16 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
-from polemap.evaluation.metrics import accuracy, smoothness, timing_summary
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer, PoseUpdate
 from polemap.map.landmark_map import PoleMap
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 _Input = OdometrySample | GnssFix | PoleScan
 
 # where nothing arrives for longer than this, the output pauses until something does again
 OUTPUT_HOLE_S = 60.0
-
-
-@dataclass(frozen=True, slots=True)
-class Trajectory:
-    """Poses `(n, 3)` east, north, yaw of the rear axle at `stamps_s` `(n,)`."""
-
-    stamps_s: Floats
-    poses: Floats
-    covariance: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +35,9 @@ class Run:
         kf: the output filter at every tick of 1 / rate.
         output: per tick: speed, yaw rate, jump (m), age of the last pose used (s).
         flags: per tick, "" in normal operation.
-        metrics: content of metrics.json.
+        counts: how often what happened, see `Localizer.summary`.
+        timings_s: seconds of every call by stage; empty without a clock.
+        replay_s: seconds of the whole replay; NaN without a clock.
     """
 
     pf: Trajectory
@@ -53,7 +45,9 @@ class Run:
     kf: Trajectory
     output: Floats
     flags: tuple[str, ...]
-    metrics: dict[str, Any] = field(default_factory=dict)
+    counts: Mapping[str, int]
+    timings_s: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    replay_s: float = nan
 
 
 def check_inputs(drive: Drive, pole_map: PoleMap | None, *, has_poles: bool) -> None:
@@ -101,7 +95,7 @@ def replay(
     scan plus `config.output.processing_delay_s`. The output at a tick knows what came before it.
 
     Args:
-        drive: odometry, GNSS and, for the metrics, the reference.
+        drive: odometry and GNSS.
         pole_map: in the drive's frame; None for odometry and GNSS alone.
         scans: poles seen, by arrival.
         config: settings.
@@ -132,21 +126,17 @@ def replay(
         if progress and number % 1000 == 999:
             progress(1000)
     ticks.finish()
-    spent = clock() - begin if clock else float("nan")
+    spent = clock() - begin if clock else nan
     pf = Trajectory(
         np.array([u.estimate.stamp_s for u in updates]),
         np.array([u.estimate.pose for u in updates]).reshape(-1, 3),
         np.array([u.estimate.covariance for u in updates]).reshape(-1, 3, 3),
     )
     # poses become known in the order of their arrival, a trajectory is in the order of its stamps
-    order = np.argsort(pf.stamps_s, kind="stable")
-    pf = Trajectory(pf.stamps_s[order], pf.poses[order], pf.covariance[order])
+    pf = pf.rows(np.argsort(pf.stamp_s, kind="stable"))
     kf, output, flags = ticks.result()
-    metrics = _metrics(drive, localizer, updates, pf, kf, output, flags)
-    if clock:
-        metrics["timing_ms"] = timing_summary(localizer.timings_s)
-        metrics["replay_s"] = spent
-    return Run(pf, tuple(updates), kf, output, flags, metrics)
+    timings = localizer.timings_s if clock else {}
+    return Run(pf, tuple(updates), kf, output, flags, localizer.summary(), timings, spent)
 
 
 def _samples(drive: Drive, scans: Sequence[PoleScan]) -> Iterator[_Input]:
@@ -219,64 +209,3 @@ class _Ticks:
         covariance = np.array(self._covariance).reshape(-1, 3, 3)
         kf = Trajectory(np.array(self._stamps), rows[:, :3], covariance)
         return kf, rows[:, 3:], tuple(self._flags)
-
-
-def _metrics(
-    drive: Drive,
-    localizer: Localizer,
-    updates: Sequence[PoseUpdate],
-    pf: Trajectory,
-    kf: Trajectory,
-    output: Floats,
-    flags: Sequence[str],
-) -> dict[str, Any]:
-    counts = localizer.summary()
-    result: dict[str, Any] = {
-        "drive": drive.name,
-        "frame": str(drive.frame),
-        "notes": list(drive.notes),
-        "duration_s": float(drive.duration_s),
-        "reinitializations": counts.pop("pf_reinitializations", 0),
-        "exploration_events": counts.pop("pf_exploration_events", 0),
-        "gate_rejections": counts.pop("gate_rejections", 0),
-        "late_dropped": counts.pop("late_dropped", 0),
-        "output_reinitializations": counts.pop("reinitializations", 0),
-        "counts": counts,
-        "input_problems": dict(drive.problems),
-        "updates": len(updates),
-        "output_poses": len(kf.stamps_s),
-        "latency_s": _latency(updates),
-        "jump_max_m": float(output[:, 2].max()) if len(output) else 0.0,
-        "flagged_ticks": sum(1 for flag in flags if flag),
-        "smoothness": {
-            "pf": smoothness(pf.stamps_s, pf.poses),
-            "kf": smoothness(kf.stamps_s, kf.poses),
-            "kf_at_pf_stamps": smoothness(*_sampled(kf, pf.stamps_s)),
-        },
-    }
-    if drive.reference is not None and len(drive.reference):
-        # from the first pole-based pose on, without the metres of a start by GNSS
-        held = np.isfinite(output[:, 3]) if len(output) else np.zeros(0, dtype=bool)
-        localized = Trajectory(kf.stamps_s[held], kf.poses[held], kf.covariance[held])
-        for name, trajectory in (("pf", pf), ("kf", kf), ("kf_localized", localized)):
-            if len(trajectory.stamps_s):
-                result[name] = accuracy(
-                    trajectory.stamps_s, trajectory.poses, trajectory.covariance, drive.reference
-                )
-    return result
-
-
-def _sampled(kf: Trajectory, stamps_s: Floats) -> tuple[Floats, Floats]:
-    """The output between its ticks, so that equal steps are compared."""
-    if not len(kf.stamps_s):
-        return np.empty(0), np.empty((0, 3))
-    inside = stamps_s[(stamps_s >= kf.stamps_s[0]) & (stamps_s <= kf.stamps_s[-1])]
-    columns = (kf.poses[:, 0], kf.poses[:, 1], np.unwrap(kf.poses[:, 2]))
-    return inside, np.stack([np.interp(inside, kf.stamps_s, c) for c in columns], axis=1)
-
-
-def _latency(updates: Sequence[PoseUpdate]) -> Mapping[str, float]:
-    late = np.array([u.taken_s - u.estimate.stamp_s for u in updates])
-    if not len(late):
-        return {}
-    return {"median": float(np.median(late)), "p95": float(np.percentile(late, 95))}

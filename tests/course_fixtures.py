@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from polemap.evaluation.trajectory import Trajectory
 from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.trajectory import Trajectory
 from tests.courses import (
     Course,
     Driven,

@@ -12,8 +12,9 @@ import yaml
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from polemap.evaluation.trajectory import Trajectory, tum_text
+from polemap.drivelog.tum import tum_text
 from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

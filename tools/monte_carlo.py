@@ -18,7 +18,7 @@ from polemap import __version__
 from polemap.drivelog.atomic import atomic_folder, copy_folder, reserved
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.processes import WorkerPool
-from polemap.evaluation.metrics import spread, timing_summary
+from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
 from polemap.map.landmark_map import PoleMap
@@ -56,7 +56,7 @@ class Replay:
                 clock=time.perf_counter,
                 progress=advance,
             )
-        metrics = run.metrics
+        metrics = run_metrics(run, drive)
         spent = looked.total_s()
         metrics["timing_ms"] = {**timing_summary(spent), **metrics["timing_ms"]}
         metrics["machine"] = describe_machine()
@@ -64,7 +64,7 @@ class Replay:
         busy_s = metrics["perception_s"] + metrics["replay_s"]
         metrics["real_time_factor"] = drive.duration_s / busy_s if busy_s > 0 else None
         folder.mkdir(parents=True, exist_ok=True)
-        write_run(folder, run, self._as_used(seed), looked.spent_s)
+        write_run(folder, run, metrics, self._as_used(seed), looked.spent_s)
         return metrics
 
     def key(self, drive: Drive) -> str:

@@ -14,7 +14,8 @@ import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
-from polemap.evaluation.trajectory import Trajectory, read_tum
+from polemap.drivelog.tum import read_tum
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.streams import ReferenceStream
-from polemap.evaluation.metrics import accuracy
-from polemap.evaluation.trajectory import Trajectory, read_tum
-from polemap.localize import replay as replays
-
-Floats = NDArray[np.float64]
+from polemap.drivelog.tum import read_tum
+from polemap.evaluation.errors import accuracy
+from polemap.localize.replay import Run
+from polemap.vehicle.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +39,7 @@ class Accuracy:
 
 
 def evaluate(
-    estimate: replays.Run | replays.Trajectory | Trajectory | str | Path,
+    estimate: Run | Trajectory | str | Path,
     reference: Drive | Trajectory | str | Path,
     *,
     of: Literal["kf", "pf"] = "kf",
@@ -58,8 +56,7 @@ def evaluate(
             within the time of the estimate.
     """
     true = _reference(reference)
-    stamps_s, poses, covariance = _estimate(estimate, of)
-    figures = accuracy(stamps_s, poses, covariance, true)
+    figures = accuracy(_estimate(estimate, of), true)
     if not figures["poses"]:
         raise InputError(
             f"no pose of the estimate lies within the reference's time "
@@ -79,14 +76,9 @@ def evaluate(
     )
 
 
-def _estimate(
-    estimate: replays.Run | replays.Trajectory | Trajectory | str | Path, of: Literal["kf", "pf"]
-) -> tuple[Floats, Floats, Floats | None]:
-    """Stamps `(n,)`, poses `(n, 3)` and covariances `(n, 3, 3)`, None where none are stated."""
-    if isinstance(estimate, replays.Run):
-        estimate = estimate.kf if of == "kf" else estimate.pf
-    if isinstance(estimate, replays.Trajectory):
-        return estimate.stamps_s, estimate.poses, estimate.covariance
+def _estimate(estimate: Run | Trajectory | str | Path, of: Literal["kf", "pf"]) -> Trajectory:
+    if isinstance(estimate, Run):
+        return estimate.kf if of == "kf" else estimate.pf
     if isinstance(estimate, str | Path):
         path = Path(estimate)
         if path.is_dir():
@@ -98,7 +90,7 @@ def _estimate(
                     f"{runs[0].parent}"
                 )
         estimate = read_tum(path)
-    return estimate.stamp_s, estimate.poses, None
+    return estimate
 
 
 def _reference(reference: Drive | Trajectory | str | Path) -> ReferenceStream:

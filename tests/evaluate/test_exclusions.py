@@ -21,7 +21,7 @@ from polemap.evaluation.exclusions import (
 from polemap.evaluation.laps import find_stretches
 from polemap.evaluation.meanpath import MeanPath
 from polemap.evaluation.repeatability import crossings, guides_of
-from polemap.evaluation.trajectory import Trajectory
+from polemap.vehicle.trajectory import Trajectory
 
 Maker = Callable[..., Any]
 

@@ -11,7 +11,7 @@ import pytest
 from polemap.drivelog.drive import open_drive
 from polemap.evaluation.laps import Span, find_stretches, road_length_m
 from polemap.evaluation.meanpath import REACH_M
-from polemap.evaluation.trajectory import Trajectory
+from polemap.vehicle.trajectory import Trajectory
 
 Maker = Callable[..., Any]
 

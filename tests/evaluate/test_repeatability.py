@@ -23,8 +23,8 @@ from polemap.evaluation.repeatability import (
     repeatability,
     small_sample_factor,
 )
-from polemap.evaluation.trajectory import Trajectory
 from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 Maker = Callable[..., Any]

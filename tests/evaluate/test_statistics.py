@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from polemap.evaluation.accuracy import error_blocks, errors_against, summary
 from polemap.evaluation.bootstrap import Blocks, paired_difference
+from polemap.evaluation.error_blocks import error_blocks
+from polemap.evaluation.errors import errors_against, summary
 from polemap.evaluation.meanpath import MeanPath
-from polemap.evaluation.trajectory import Trajectory, read_tum, tum_text
 from polemap.tools.report.tables import (
     Table,
     csv_text,
@@ -21,6 +17,7 @@ from polemap.tools.report.tables import (
     number,
     with_spread,
 )
+from polemap.vehicle.trajectory import Trajectory
 
 
 def blocks(rng: np.random.Generator, sd: float, runs: int, shared: np.ndarray) -> Blocks:
@@ -89,32 +86,6 @@ def test_interpolation_keeps_out_of_gaps_and_wraps() -> None:
     poses = track.at(np.array([-0.1, 0.5, 3.0, 6.0]), max_gap_s=2.0)
     assert np.isnan(poses[[0, 2, 3]]).all()
     assert abs(abs(poses[1, 2]) - np.pi) < 1e-9
-
-
-@given(
-    st.lists(
-        st.tuples(st.floats(-1e6, 1e6), st.floats(-6e6, 6e6), st.floats(-3.1, 3.1)),
-        min_size=1,
-        max_size=20,
-    )
-)
-def test_tum_round_trip(rows: list[tuple[float, float, float]]) -> None:
-    import tempfile
-
-    track = Trajectory(1.7e9 + np.arange(len(rows)) / 100.0, np.array(rows))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "t.tum"
-        path.write_text(tum_text(track))
-        back = read_tum(path)
-    assert np.allclose(back.stamp_s, track.stamp_s, atol=1e-6, rtol=0)
-    assert np.array_equal(back.poses[:, :2], track.poses[:, :2])
-    assert np.allclose(back.poses[:, 2], track.poses[:, 2], atol=1e-12)
-
-
-def test_repeated_and_backward_stamps_are_dropped(tmp_path: Path) -> None:
-    path = tmp_path / "t.tum"
-    path.write_text("".join(f"{t} {x} 0 0 0 0 0 1\n" for x, t in enumerate((1, 2, 2, 1.5, 3))))
-    assert read_tum(path).stamp_s.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_projection_on_a_circle() -> None:

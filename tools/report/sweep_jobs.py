@@ -17,13 +17,14 @@ from polemap.config import PolemapConfig
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import PoleScan
+from polemap.evaluation.run_metrics import run_metrics
 from polemap.evaluation.runs.io import Run
-from polemap.evaluation.trajectory import Trajectory
 from polemap.localize.replay import replay
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
 from polemap.settings import Settings
 from polemap.tools.looking import Source, read_looks, tracked
+from polemap.vehicle.trajectory import Trajectory
 
 OUTPUT_SPACING_M = 0.1
 
@@ -48,23 +49,23 @@ class ReplayJob:
 def do_replay(job: ReplayJob) -> None:
     """Do one job and keep its result."""
     settings = Settings.model_validate_json(job.settings)
-    drive = job.source.open(job.seed)
+    drive = replace(job.source.open(job.seed), images=None, scans=())
     scans = _tracked(job.source, settings.polemap.model_dump_json(), job.looks, job.every)
     begin = time.perf_counter()
     run = replay(
-        replace(drive, images=None, scans=()),
+        drive,
         _map(job.map, job.source),
         scans,
         settings.localize,
         seed=job.seed,
         clock=time.perf_counter,
     )
-    metrics = {**run.metrics, "replay_s": time.perf_counter() - begin}
-    kf = Trajectory(run.kf.stamps_s, run.kf.poses).thinned(OUTPUT_SPACING_M)
+    metrics = {**run_metrics(run, drive), "replay_s": time.perf_counter() - begin}
+    kf = run.kf.thinned(OUTPUT_SPACING_M)
     with atomic_file(Path(job.target)) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
-            pf_stamp_s=run.pf.stamps_s,
+            pf_stamp_s=run.pf.stamp_s,
             pf_poses=run.pf.poses,
             kf_stamp_s=kf.stamp_s,
             kf_poses=kf.poses,

@@ -13,8 +13,8 @@ import yaml
 
 from polemap import __version__
 from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.tum import tum_text
 from polemap.evaluation.results import RouteResult
-from polemap.evaluation.trajectory import Trajectory, tum_text
 from polemap.tools.machine import describe_machine
 from polemap.tools.report.comparison import compare_systems
 from polemap.tools.report.document import document, document_text
@@ -24,6 +24,7 @@ from polemap.tools.report.page import Page, Section, SettingsText, render_page
 from polemap.tools.report.route_tables import all_tables, repeatability_table
 from polemap.tools.report.style import Picture
 from polemap.tools.report.tables import Table, csv_text, latex_text
+from polemap.vehicle.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polemap.evaluation.metrics import nees
+from polemap.evaluation.errors import nees
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.noise_model import NoiseModel

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polemap.evaluation.accuracy import errors_against, summary
-from polemap.evaluation.trajectory import Trajectory, read_tum, tum_text
+from polemap.drivelog.tum import read_tum, tum_text
+from polemap.evaluation.errors import errors_against, summary
 from polemap.tools import cli
+from polemap.vehicle.trajectory import Trajectory
 
 Maker = Callable[..., Path]
 

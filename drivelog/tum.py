@@ -1,0 +1,95 @@
+"""Trajectories as text in the TUM format: `stamp x y z qx qy qz qw`, one pose a line."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import InputError
+from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.trajectory import Trajectory
+
+TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read planar poses; `#` starts a comment.
+
+    Lines that repeat a stamp or go back in time are dropped: other systems publish such.
+
+    Raises:
+        InputError: the file is missing, has no pose, a line has not eight numbers, or a value is
+            not finite.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            table = np.loadtxt(path, dtype=np.float64, comments="#", ndmin=2)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such trajectory") from None
+    except (ValueError, OSError, UnicodeDecodeError):
+        raise InputError(_broken_line(path)) from None
+    if table.size == 0:
+        raise InputError(f"{path}: holds no pose; a TUM line is '{' '.join(TUM_COLUMNS)}'")
+    if table.shape[1] != len(TUM_COLUMNS):
+        raise InputError(_broken_line(path))
+    bad = np.argwhere(~np.isfinite(table))
+    if len(bad):
+        row, column = bad[0]
+        raise InputError(
+            f"{path}: pose {row + 1} has {TUM_COLUMNS[column]} = {table[row, column]}; "
+            "every value of a TUM trajectory must be finite"
+        )
+    stamp = table[:, 0]
+    rising = stamp > np.concatenate([[-np.inf], np.maximum.accumulate(stamp)[:-1]])
+    table = table[rising]
+    qx, qy, qz, qw = table[:, 4:8].T
+    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+    poses = np.column_stack([table[:, 1], table[:, 2], wrap_angle(yaw)])
+    return Trajectory(np.ascontiguousarray(table[:, 0]), poses)
+
+
+def tum_text(trajectory: Trajectory) -> str:
+    """The trajectory as TUM lines in full precision; z, qx and qy are 0 in the plane."""
+    half = 0.5 * trajectory.poses[:, 2]
+    table = np.zeros((len(half), len(TUM_COLUMNS)))
+    table[:, 0] = trajectory.stamp_s
+    table[:, 1:3] = trajectory.poses[:, :2]
+    table[:, 6], table[:, 7] = np.sin(half), np.cos(half)
+    return "".join(" ".join(map(_shortest, row)) + "\n" for row in table.tolist())
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write the trajectory in full precision."""
+    with atomic_file(path) as part:
+        part.write_text(tum_text(trajectory), encoding="utf-8")
+
+
+def _shortest(value: float) -> str:
+    """The shortest text that reads back to the same double."""
+    return repr(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+
+
+def _broken_line(path: Path) -> str:
+    """Name the first line that is not a pose."""
+    wanted = f"expected eight numbers '{' '.join(TUM_COLUMNS)}'"
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        return f"{path}: is not a text file; {wanted} a line"
+    except OSError as error:
+        return f"{path}: cannot be read ({error.strerror}); is it a TUM trajectory?"
+    for number, line in enumerate(lines, start=1):
+        words = line.split("#", 1)[0].split()
+        if not words:
+            continue
+        try:
+            values = [float(word) for word in words]
+        except ValueError:
+            return f"{path}:{number}: '{line[:60]}' is not a TUM pose; {wanted}"
+        if len(values) != len(TUM_COLUMNS):
+            return f"{path}:{number}: {len(values)} numbers; {wanted}"
+    return f"{path}: cannot be read as a TUM trajectory; {wanted} a line"

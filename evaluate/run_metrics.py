@@ -1,0 +1,145 @@
+"""The figures of one replay, as metrics.json holds them, and their spread over many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.drive import Drive
+from polemap.evaluation.errors import accuracy
+from polemap.localize.localizer import PoseUpdate
+from polemap.localize.replay import Run
+from polemap.vehicle.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+
+
+def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
+    """Counts, latency, smoothness, accuracy where the drive has a reference, and timings.
+
+    Args:
+        run: a replay of the drive.
+        drive: the drive, with its reference.
+    """
+    counts = dict(run.counts)
+    result: dict[str, Any] = {
+        "drive": drive.name,
+        "frame": str(drive.frame),
+        "notes": list(drive.notes),
+        "duration_s": float(drive.duration_s),
+        "reinitializations": counts.pop("pf_reinitializations", 0),
+        "exploration_events": counts.pop("pf_exploration_events", 0),
+        "gate_rejections": counts.pop("gate_rejections", 0),
+        "late_dropped": counts.pop("late_dropped", 0),
+        "output_reinitializations": counts.pop("reinitializations", 0),
+        "counts": counts,
+        "input_problems": dict(drive.problems),
+        "updates": len(run.updates),
+        "output_poses": len(run.kf),
+        "latency_s": _latency(run.updates),
+        "jump_max_m": float(run.output[:, 2].max()) if len(run.output) else 0.0,
+        "flagged_ticks": sum(1 for flag in run.flags if flag),
+        "smoothness": {
+            "pf": smoothness(run.pf.stamp_s, run.pf.poses),
+            "kf": smoothness(run.kf.stamp_s, run.kf.poses),
+            "kf_at_pf_stamps": smoothness(*_sampled(run.kf, run.pf.stamp_s)),
+        },
+    }
+    if drive.reference is not None and len(drive.reference):
+        # from the first pole-based pose on, without the metres of a start by GNSS
+        held = np.isfinite(run.output[:, 3]) if len(run.output) else np.zeros(0, dtype=np.bool_)
+        localized = run.kf.rows(held)
+        for name, trajectory in (("pf", run.pf), ("kf", run.kf), ("kf_localized", localized)):
+            if len(trajectory):
+                result[name] = accuracy(trajectory, drive.reference)
+    if isfinite(run.replay_s):
+        result["timing_ms"] = timing_summary(run.timings_s)
+        result["replay_s"] = run.replay_s
+    return result
+
+
+def smoothness(stamps_s: Floats, poses: Floats) -> dict[str, float]:
+    """How smooth a trajectory is: rms of its third difference per axis of the vehicle.
+
+    Given as it stands (metres between neighbours) and as jerk, divided by the step cubed.
+    """
+    if len(poses) < 4:
+        return {}
+    step = float(np.median(np.diff(stamps_s)))
+    even = np.abs(np.diff(stamps_s) - step) < 0.1 * step
+    third = np.diff(poses[:, :2], n=3, axis=0)
+    whole = even[:-2] & even[1:-1] & even[2:]
+    heading = poses[1:-2, 2]
+    lateral = -np.sin(heading) * third[:, 0] + np.cos(heading) * third[:, 1]
+    along = np.cos(heading) * third[:, 0] + np.sin(heading) * third[:, 1]
+    if not whole.any():
+        return {}
+    return {
+        "lateral_third_difference_m": _rms(lateral[whole]),
+        "longitudinal_third_difference_m": _rms(along[whole]),
+        "lateral_jerk_rms_mps3": _rms(lateral[whole]) / step**3,
+    }
+
+
+def timing_summary(timings_s: Mapping[str, Sequence[float]]) -> dict[str, dict[str, float]]:
+    """Median, p95 and p99 in milliseconds per stage, with the number of calls."""
+    return {
+        stage: {
+            "median": float(np.median(values)) * 1e3,
+            "p95": float(np.percentile(values, 95)) * 1e3,
+            "p99": float(np.percentile(values, 99)) * 1e3,
+            "calls": len(values),
+        }
+        for stage, values in timings_s.items()
+        if len(values)
+    }
+
+
+def spread(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Mean, standard deviation, least and most of every number that the runs share, as a tree.
+
+    Numbers that are not finite are left out of their statistics; text and lists are not averaged.
+    """
+    result: dict[str, Any] = {}
+    for key in runs[0] if runs else ():
+        values = [run[key] for run in runs if key in run]
+        if all(isinstance(value, Mapping) for value in values):
+            result[key] = spread(values)
+        elif all(
+            isinstance(value, int | float) and not isinstance(value, bool) for value in values
+        ):
+            finite = np.array([value for value in values if isfinite(value)])
+            if len(finite):
+                sd = float(finite.std(ddof=1)) if len(finite) > 1 else 0.0
+                result[key] = {
+                    "mean": float(finite.mean()),
+                    "sd": sd,
+                    "min": float(finite.min()),
+                    "max": float(finite.max()),
+                    "runs": len(finite),
+                }
+    return result
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _sampled(kf: Trajectory, stamps_s: Floats) -> tuple[Floats, Floats]:
+    """The output between its ticks, so that equal steps are compared."""
+    if not len(kf):
+        return np.empty(0), np.empty((0, 3))
+    inside = stamps_s[(stamps_s >= kf.stamp_s[0]) & (stamps_s <= kf.stamp_s[-1])]
+    columns = (kf.poses[:, 0], kf.poses[:, 1], np.unwrap(kf.poses[:, 2]))
+    return inside, np.stack([np.interp(inside, kf.stamp_s, c) for c in columns], axis=1)
+
+
+def _latency(updates: Sequence[PoseUpdate]) -> Mapping[str, float]:
+    late = np.array([u.taken_s - u.estimate.stamp_s for u in updates])
+    if not len(late):
+        return {}
+    return {"median": float(np.median(late)), "p95": float(np.percentile(late, 95))}
