@@ -37,6 +37,8 @@ Floats = NDArray[np.float64]
 
 # the makers of the benchmark give no figure for single poses; neighbouring frames agree to this
 POSE_SD_M = 0.05
+# cameras give ten pictures a second; times a hundred times as far apart are in another unit
+_STEP_MAX_S = 10.0
 
 
 class KittiOdometryReader:
@@ -113,6 +115,11 @@ def _times(path: Path) -> Floats:
     stamps = read_numbers(path, 1)[:, 0]
     if not len(stamps):
         raise InputError(f"{path}: holds no times")
+    if len(stamps) > 1 and float(np.median(np.diff(stamps))) > _STEP_MAX_S:
+        raise InputError(
+            f"{path}: times {stamps[0]:.6g}, {stamps[1]:.6g} … are no seconds: a frame every "
+            f"{float(np.median(np.diff(stamps))):.4g}; write seconds from the first frame"
+        )
     back = np.flatnonzero(np.diff(stamps) <= 0)
     if len(back):
         row = int(back[0]) + 1

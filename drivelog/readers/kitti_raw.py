@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic, grid_yaw, utm_frame
 from polemap.drivelog.images import ImagePairs, read_grey
 from polemap.drivelog.readers.kitti import (
@@ -139,6 +140,13 @@ def _rig(day: Path, pair: tuple[str, str], image: Path, oxts_from_camera: Floats
     position = np.array([CAMERA_AHEAD_M, 0.0, CAMERA_ABOVE_M]) + rotation @ shift
     first = read_grey(image)
     size = (first.shape[1], first.shape[0])
+    if f"S_rect_{pair[0]}" in calibration:
+        width, height = entry(calibration, f"S_rect_{pair[0]}", (2,), file).astype(int)
+        if size != (width, height):
+            raise InputError(
+                f"{image}: {size[0]}x{size[1]} pixels, the calibration's rectified pictures have "
+                f"{width}x{height}: these are not rectified; use the drive's _sync folder"
+            )
     return rig_of(left, right, size, mounting(rotation, position), file)
 
 
