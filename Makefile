@@ -6,7 +6,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp)
 
-.PHONY: setup demo test check lint bench campaign lock clean
+.PHONY: setup demo test check lint bench campaign docs lock clean
 
 setup: .venv/.ready
 
@@ -36,6 +36,9 @@ bench: setup
 
 campaign: setup
 	$(BIN)/python -m benchmarks.campaign
+
+docs: setup
+	$(BIN)/python -m docs.make_settings
 
 lock:
 	$(BIN)/python -m pip install --quiet uv
