@@ -21,8 +21,9 @@ from polemap.map.landmark_map import PoleMap
 from polemap.perception import PerceivedFrame, PolePerception, perceive_drive
 from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
+from polemap.tools.findings import require_plausible
 from polemap.tools.options import ConfigOption, ForceOption, SetOption
-from polemap.tools.plausible import find, require_plausible
+from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 from polemap.vehicle.pose import inverse_transform_points
 

@@ -19,17 +19,21 @@ from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import GPS
 from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
+from polemap.electric.gaps import find_gaps, play_parts, settled
 from polemap.electric.identify import identify
 from polemap.electric.io import gps_from_truth, read_signal_log
-from polemap.electric.signals import Played, SignalLog, play
+from polemap.electric.plausibility import check_log
+from polemap.electric.signals import Played, SignalLog
 from polemap.settings import first_problem, parse_item, read_tree
+from polemap.tools.findings import require_plausible
+from polemap.tools.options import ForceOption
 from polemap.tools.progress import progress
 from polemap.vehicle.io import car_names, dump_car, load_car
 from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
 SETTLED_S = 2.0
-"""Scoring starts this long after the first row: no filter knows its start."""
+"""Scoring starts this long after the first row and after a gap: no filter knows its start."""
 
 
 def command(
@@ -66,6 +70,7 @@ def command(
         list[str] | None, typer.Option("--set", help="One setting, such as gyro_sd_radps=0.01.")
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the derived GPS noise.")] = 0,
+    force: ForceOption = False,
     listed: Annotated[bool, typer.Option("--list", help="List estimators and cars.")] = False,
 ) -> None:
     """Run a side-slip or velocity estimator on a signal log.
@@ -91,13 +96,14 @@ def command(
     check_file(out, (log, vehicle, mapping, config_file))
     car = load_car(vehicle)
     signals, scored_from_s = _read(log, mapping, car)
+    if span is not None:
+        signals = _cut(signals, span, "--span")
+    require_plausible(log.name, check_log(signals, car), force=force)
     if identify_span is not None:
         _identify(signals, car, identify_span, log, vehicle, out)
         return
     if estimator is None or estimator not in ESTIMATORS:
         raise ConfigError(f"--estimator {estimator}: choose one of {', '.join(ESTIMATORS)}")
-    if span is not None:
-        signals = _cut(signals, span, "--span")
     config = load_estimator_config(config_file, set_values, signals)
     if derive_gps:
         signals = gps_from_truth(
@@ -144,12 +150,14 @@ def run_estimator(
     if missing or (entry.late and not kinds.intersection(entry.late)):
         lacking = missing[0] if missing else " or ".join(entry.late)
         raise InputError(f"{place}: {name} needs {lacking} and the log has no such signal")
-    estimator = make_estimator(name, car, config)
     with progress(len(signals), f"{name}") as advance:
-        played = play(
-            estimator, signals, steering_offset_rad=car.steering_offset_rad, progress=advance
+        played, dropped = play_parts(
+            lambda: make_estimator(name, car, config),
+            signals,
+            steering_offset_rad=car.steering_offset_rad,
+            progress=advance,
         )
-    for reason, count in estimator.dropped.items():
+    for reason, count in dropped.items():
         sys.stderr.write(f"note: {count} times: {reason}\n")
     return played
 
@@ -189,23 +197,32 @@ def score(
 ) -> dict[str, object]:
     """Errors against the reference of the log from `from_s` on; empty without one."""
     result: dict[str, object] = {}
-    late = played.stamp_s >= max(from_s, float(played.stamp_s[0]) + SETTLED_S)
+    late = settled(played.stamp_s, find_gaps(signals), SETTLED_S) & (played.stamp_s >= from_s)
     if signals.has("sideslip_rad"):
-        error = at_reference(name, played, signals, car) - signals.columns["sideslip_rad"]
-        error = np.degrees(error[late & np.isfinite(error)])
-        if len(error):
-            result = {
-                "estimator": name,
-                "sideslip_rmse_deg": round(float(np.sqrt(np.mean(error**2))), 5),
-                "sideslip_p95_deg": round(float(np.percentile(np.abs(error), 95)), 5),
-            }
+        truth = signals.columns["sideslip_rad"]
+        slip = at_reference(name, played, signals, car)
+        scored = late & np.isfinite(truth)
+        # a side-slip beyond a right angle is no estimate, and none may be left out of a figure
+        failed = scored & ~(np.abs(slip) < np.pi / 2.0)
+        error = np.degrees((slip - truth)[scored & ~failed])
+        if scored.any():
+            result = {"estimator": name, "sideslip_rmse_deg": None, "sideslip_p95_deg": None}
+            if failed.any():
+                result["rows_not_estimated"] = int(failed.sum())
+            else:
+                result["sideslip_rmse_deg"] = round(float(np.sqrt(np.mean(error**2))), 5)
+                result["sideslip_p95_deg"] = round(float(np.percentile(np.abs(error), 95)), 5)
     for field, reference in (("vx_mps", "vx_reference_mps"), ("vy_mps", "vy_mps")):
         if not signals.has(reference) or field not in played.fields:
             continue
-        error = played.column(field) - signals.columns[reference]
-        error = error[late & np.isfinite(error)]
+        truth = signals.columns[reference]
+        scored = late & np.isfinite(truth)
+        error = (played.column(field) - truth)[scored]
         if len(error):
             result.setdefault("estimator", name)
+            if not np.isfinite(error).all():
+                result["rows_not_estimated"] = int(np.count_nonzero(~np.isfinite(error)))
+                continue
             stem = field.removesuffix("_mps")
             result[f"{stem}_rmse_mps"] = round(float(np.sqrt(np.mean(error**2))), 5)
             result[f"{stem}_p95_mps"] = round(float(np.percentile(np.abs(error), 95)), 5)

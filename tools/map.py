@@ -19,6 +19,7 @@ from polemap.drivelog.errors import InputError
 from polemap.map.io import check_writable, export_map, read_map, write_map
 from polemap.map.landmark_map import PoleMap
 from polemap.settings import Settings, load_settings
+from polemap.tools.findings import require_plausible
 from polemap.tools.map_picture import (
     check_picture,
     draw_map,
@@ -27,7 +28,7 @@ from polemap.tools.map_picture import (
 )
 from polemap.tools.map_worker import observe_task, open_part, scan
 from polemap.tools.options import ConfigOption, ForceOption, SeedOption, SetOption
-from polemap.tools.plausible import find, require_plausible
+from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 
 
