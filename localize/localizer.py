@@ -24,6 +24,7 @@ from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
+from polemap.localize.particle_filter.health import not_offered
 from polemap.localize.stage_times import StageTimes
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.delay import Placement
@@ -31,9 +32,6 @@ from polemap.vehicle.delay import Placement
 Floats = NDArray[np.float64]
 
 STREAMS = ("odometry", "gnss", "camera")
-
-# a pose whose particles spread further than this along one axis is not offered to the output filter
-_OFFER_SD_MAX_M = 5.0
 
 
 class Perception(Protocol):
@@ -145,6 +143,23 @@ class Localizer:
             if stamp is not None:
                 self._hold(replace(estimate, stamp_s=stamp), estimate.arrival_s)
 
+    def start_at(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
+        """Start from a known rear-axle pose `(3,)` with covariance `(3, 3)`.
+
+        For a car that was parked where it was left, or that stands on a marked place.
+
+        Raises:
+            InputError: a pose or covariance that cannot be one, or a localizer without a map.
+        """
+        problem = usable_pose(stamp_s, pose, covariance)
+        if problem is not None:
+            raise InputError(f"start_at: the pose at {stamp_s} s cannot be used ({problem})")
+        if self._particle_filter is None:
+            raise InputError("start_at: this localizer has no map, so no particle filter to start")
+        with self._slow:
+            self._empty_inbox(self._particle_filter)
+            self._particle_filter.set_pose(stamp_s, pose, covariance)
+
     def pose_at(self, stamp_s: float) -> OutputPose | None:
         """The pose at `stamp_s` from what has arrived; None before the filter has started.
 
@@ -230,7 +245,7 @@ class Localizer:
         if problem is not None:
             self.counts[f"pose_{problem}"] += 1
             return f"dropped:{problem}", nan, nan
-        reason = _not_offered(estimate)
+        reason = not_offered(estimate)
         if reason is not None:
             self.counts[f"not_offered_{reason}"] += 1
             return f"not_offered:{reason}", nan, nan
@@ -255,16 +270,8 @@ class Localizer:
         with self._fast:
             stamp = self._clocks["camera"].checked_stamp(sample.stamp_s, sample.arrival_s)
             self._release(sample.arrival_s)
-            inbox = list(self._inbox)
-            self._inbox.clear()
         with self._slow:
-            for earlier in inbox:
-                if isinstance(earlier, OdometrySample):
-                    self._particle_filter.add_odometry(earlier)
-                    if self._perception is not None:
-                        self._perception.record_odometry(earlier)
-                else:
-                    self._particle_filter.add_fix(earlier)
+            self._empty_inbox(self._particle_filter)
             if stamp is None:
                 return None
             scan = self._scan_of(replace(sample, stamp_s=stamp))
@@ -280,6 +287,19 @@ class Localizer:
             self._hold(estimate, sample.arrival_s, spent_s)
         return estimate
 
+    def _empty_inbox(self, particle_filter: ParticleFilter) -> None:
+        """Give the particle filter what has come since the last scan."""
+        with self._fast:
+            inbox = list(self._inbox)
+            self._inbox.clear()
+        for earlier in inbox:
+            if isinstance(earlier, OdometrySample):
+                particle_filter.add_odometry(earlier)
+                if self._perception is not None:
+                    self._perception.record_odometry(earlier)
+            else:
+                particle_filter.add_fix(earlier)
+
     def _scan_of(self, sample: PoleScan | StereoFrame) -> PoleScan:
         if isinstance(sample, PoleScan):
             return sample
@@ -287,14 +307,3 @@ class Localizer:
             raise InputError("a stereo frame was added, but this localizer has no perception")
         with self._times.of("perception"):
             return self._perception.scan_frame(sample)
-
-
-def _not_offered(estimate: PfEstimate) -> str | None:
-    """Why the particle filter's own health keeps a pose from the output filter, or None."""
-    if not estimate.healthy:
-        return "unhealthy"
-    if estimate.modes > 1:
-        return "modes"
-    if estimate.health.position_sd_major_m > _OFFER_SD_MAX_M:
-        return "spread"
-    return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from polemap.localize.config import RecoveryConfig
+from polemap.localize.particle_filter.estimate import PfEstimate
 
 Verdict = Literal["confirmed", "contradicted", "open"]
 
@@ -15,9 +16,11 @@ _LEAST_FAR_FIXES = 3
 # a fix lies far away from this on, in standard deviations of both
 _FAR_SD = 5.0
 PROVEN_SD_M, PROVEN_AFTER_M = 0.5, 25.0
-"""A narrow particle set that finds poles where it expects them for so many
-metres is where it says: none of 636 simulated starts claimed a wrong pose."""
+"""A narrow particle set that finds poles where it expects them for so many metres is where it says:
+none of 636 simulated starts claimed a wrong pose."""
 _HOPE = 0.5  # where fewer matches could be hoped for, none says nothing
+# a pose of particles that spread further along one axis is not offered to the output filter
+_OFFER_SD_MAX_M = 5.0
 
 
 class LostDetector:
@@ -165,3 +168,14 @@ class StartProof:
         elif possible > _HOPE:
             self._upheld_m = max(0.0, self._upheld_m - moved_m)
         self.proven |= verdict == "confirmed" or self._upheld_m >= PROVEN_AFTER_M
+
+
+def not_offered(estimate: PfEstimate) -> str | None:
+    """Why the particle filter's own health keeps a pose from the output filter, or None."""
+    if not estimate.healthy:
+        return "unhealthy"
+    if estimate.modes > 1:
+        return "modes"
+    if estimate.health.position_sd_major_m > _OFFER_SD_MAX_M:
+        return "spread"
+    return None

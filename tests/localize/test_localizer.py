@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose, StereoFrame
+from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, ReferencePose, StereoFrame
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.output_filter.config import OutputConfig
@@ -268,3 +268,20 @@ def _after(street):
     for sample in inputs(street):
         localizer.add_sample(sample)
     return localizer
+
+
+def test_a_known_place_is_believed_and_found_at_once(street):
+    localizer = make(street)
+    samples = [s for s in inputs(street) if not isinstance(s, GnssFix)]
+    first = next(s for s in samples if isinstance(s, PoleScan))
+    true = street.motion.at(np.array([first.stamp_s]))[0, :3]
+    with pytest.raises(InputError, match=r"at 0\.0 s cannot be used \(not_finite"):
+        localizer.start_at(0.0, np.full(3, np.nan), np.eye(3))
+    localizer.start_at(first.stamp_s - 0.01, true, np.diag([0.04, 0.04, 1e-4]))
+    estimates = [localizer.add_sample(s) for s in samples if s.arrival_s <= first.arrival_s]
+    assert estimates[-1] is not None
+    assert estimates[-1].event is None
+    assert np.hypot(*(estimates[-1].pose - true)[:2]) < 0.5
+    blind = Localizer(None, CONFIG, 2.7, np.random.default_rng(0))
+    with pytest.raises(InputError, match="start_at: this localizer has no map"):
+        blind.start_at(0.0, np.zeros(3), np.eye(3))

@@ -93,7 +93,7 @@ def test_says_nothing_while_nothing_is_known() -> None:
         ids=np.empty(0, dtype=np.int64),
         existence=np.empty(0),
     )
-    assert blind.update(empty) is None
+    assert blind.process_scan(empty) is None
     assert not blind.initialized
     assert blind.particles()[0].shape == (0, 3)
 
