@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 from benchmarks.report_routes import CORNERS_M, short_world
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
-from polemap.drivelog.samples import Image, PoleScan, StereoFrame
+from polemap.drivelog.samples import Image, StereoFrame
 from polemap.evaluation.errors import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import replay
@@ -87,7 +88,7 @@ def _take(number: int) -> tuple[Image, Image, DisparityPair]:
     return shot.left, shot.right, matcher.match(shot.left, shot.right)
 
 
-def see(route: str, seed: int, drive: Drive, lap: int, every: int) -> list[PoleScan]:
+def see(route: str, seed: int, drive: Drive, lap: int, every: int) -> list[Detections]:
     """The scans of a lap, from every n-th frame."""
     _, plan = plan_of(route, seed)
     span = drive.laps[lap]
@@ -115,7 +116,7 @@ def see(route: str, seed: int, drive: Drive, lap: int, every: int) -> list[PoleS
     return scans
 
 
-def map_of(drive: Drive, scans: list[PoleScan]) -> PoleMap:
+def map_of(drive: Drive, scans: list[Detections]) -> PoleMap:
     """The map of lap 1; at a quarter of the frames a pole is seen in fewer."""
     config = PolemapConfig()
     few = config.mapping.model_copy(update={"observations_min": 5})
@@ -124,7 +125,7 @@ def map_of(drive: Drive, scans: list[PoleScan]) -> PoleMap:
 
 
 def judge(
-    folder: Path, pole_map: PoleMap, scans: list[PoleScan], changes: dict[str, int], seed: int
+    folder: Path, pole_map: PoleMap, scans: list[Detections], changes: dict[str, int], seed: int
 ) -> list[float]:
     """Figures of one run, in the order of `COLUMNS`."""
     drive = open_drive(folder)

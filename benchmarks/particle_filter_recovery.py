@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
@@ -89,7 +90,7 @@ def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], 
             particle_filter.add_odometry(sample)
         elif isinstance(sample, GnssFix):
             particle_filter.add_fix(sample)
-        elif isinstance(sample, PoleScan):
+        elif isinstance(sample, Detections):
             estimate = particle_filter.process_scan(sample)
             if estimate is not None:
                 estimates.append(estimate)

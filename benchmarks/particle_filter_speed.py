@@ -14,8 +14,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import OdometrySample, PoleScan, VisibleRegion
+from polemap.drivelog.samples import OdometrySample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.assignment import assign, pair_gains, pole_log_likelihood
 from polemap.localize.particle_filter.filter import ParticleFilter
@@ -46,19 +47,19 @@ def _map(rng: np.random.Generator) -> PoleMap:
     )
 
 
-def _scan(stamp_s: float, world: PoleMap, pose: Floats, rng: np.random.Generator) -> PoleScan:
+def _scan(stamp_s: float, world: PoleMap, pose: Floats, rng: np.random.Generator) -> Detections:
     rows = rng.choice(_IN_VIEW, _SEEN, replace=False)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     local = (world.points_m[rows] - pose[:2]) @ np.array([[c, -s], [s, c]])
-    return PoleScan(
+    return pole_detections(
         stamp_s,
         stamp_s,
         local + rng.normal(0, 0.1, local.shape),
         np.tile(np.eye(2) * 0.1**2, (_SEEN, 1, 1)),
-        world.width_m[rows] + rng.normal(0, 0.05, _SEEN),
-        rows,
-        np.full(_SEEN, 0.9),
-        _VIEW,
+        width_m=world.width_m[rows] + rng.normal(0, 0.05, _SEEN),
+        probability=np.full(_SEEN, 0.9),
+        track_id=rows,
+        view=_VIEW,
     )
 
 

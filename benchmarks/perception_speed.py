@@ -26,14 +26,15 @@ import polemap.detect.detection as detection
 from benchmarks import RECORDINGS
 from benchmarks.streets import open_street
 from polemap.config import PolemapConfig
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import open_drive
-from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
+from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.perception import PolePerception, samples_in_order
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher
 from polemap.stereo.rig import StereoRig
 
-Samples = list[OdometrySample | StereoFrame | PoleScan]
+Samples = list[OdometrySample | StereoFrame | Detections]
 
 _STAGES = (
     "upright_maps", "fit_ground", "depth_edges", "find_slices", "find_hypotheses",

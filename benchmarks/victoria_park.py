@@ -25,8 +25,8 @@ from benchmarks import RECORDINGS
 from benchmarks.particle_filter_recovery import A_THIRD_OF_THE_NOISE
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
-from polemap.drivelog.samples import PoleScan
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import Run, replay
 from polemap.map.landmark_map import PoleMap
@@ -42,7 +42,7 @@ OFF_M = 1.0
 
 
 @cache
-def scans_of(lap: str) -> tuple[PoleScan, ...]:
+def scans_of(lap: str) -> tuple[Detections, ...]:
     """The tracked trunks of a lap; they are recorded, so no seed changes them."""
     return tuple(scan_drive(open_drive(DRIVE).lap(lap), PolemapConfig()))
 

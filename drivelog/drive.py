@@ -11,11 +11,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.merge import SampleRows, merge_streams
-from polemap.drivelog.samples import Image, PoleScan, Sample, StereoFrame
+from polemap.drivelog.samples import Image, Sample, StereoFrame
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.stereo.rig import StereoRig
 
@@ -95,7 +96,7 @@ class Drive:
     odometry: OdometryStream | None = None
     gnss: GnssStream | None = None
     reference: ReferenceStream | None = None
-    scans: tuple[PoleScan, ...] = ()
+    scans: tuple[Detections, ...] = ()
     laps: tuple[Lap, ...] = ()
     notes: tuple[str, ...] = ()
     problems: Mapping[str, int] = field(default_factory=dict)
@@ -170,9 +171,9 @@ class Drive:
             frame_arrivals_s=self.frame_arrivals_s[frames],
             frame_numbers=self.frame_numbers[frames],
             images=self.images.keep(frames) if self.images else None,
-            odometry=self.odometry.rows(rows(self.odometry.stamp_s)) if self.odometry else None,
-            gnss=self.gnss.rows(rows(self.gnss.stamp_s)) if self.gnss else None,
-            reference=self.reference.rows(rows(self.reference.stamp_s)) if self.reference else None,
+            odometry=self.odometry.take(rows(self.odometry.stamp_s)) if self.odometry else None,
+            gnss=self.gnss.take(rows(self.gnss.stamp_s)) if self.gnss else None,
+            reference=self.reference.take(rows(self.reference.stamp_s)) if self.reference else None,
             scans=tuple(scan for scan in self.scans if start_s <= scan.stamp_s < end_s),
         )
 

@@ -8,25 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.columns import Columns
 from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose
 from polemap.vehicle.pose import Pose2D
 from polemap.vehicle.trajectory import interpolate_poses
 
 Floats = NDArray[np.float64]
-Rows = slice | NDArray[np.bool_] | NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class OdometryStream:
+class OdometryStream(Columns):
     """Wheel odometry; every array `(n,)`, sorted by `stamp_s`."""
 
     stamp_s: Floats
     arrival_s: Floats
     speed_mps: Floats
     yaw_rate_radps: Floats
-
-    def __len__(self) -> int:
-        return len(self.stamp_s)
 
     def sample(self, row: int) -> OdometrySample:
         """The sample of a row."""
@@ -37,18 +34,9 @@ class OdometryStream:
             float(self.yaw_rate_radps[row]),
         )
 
-    def rows(self, rows: Rows) -> OdometryStream:
-        """The chosen rows as a stream of their own."""
-        return OdometryStream(
-            self.stamp_s[rows],
-            self.arrival_s[rows],
-            self.speed_mps[rows],
-            self.yaw_rate_radps[rows],
-        )
-
 
 @dataclass(frozen=True, slots=True)
-class GnssStream:
+class GnssStream(Columns):
     """GNSS fixes of the antenna in the drive's frame; every array `(n,)`, sorted by `stamp_s`."""
 
     stamp_s: Floats
@@ -56,9 +44,6 @@ class GnssStream:
     east_m: Floats
     north_m: Floats
     hdop: Floats
-
-    def __len__(self) -> int:
-        return len(self.stamp_s)
 
     def sample(self, row: int) -> GnssFix:
         """The sample of a row."""
@@ -70,19 +55,9 @@ class GnssStream:
             float(self.hdop[row]),
         )
 
-    def rows(self, rows: Rows) -> GnssStream:
-        """The chosen rows as a stream of their own."""
-        return GnssStream(
-            self.stamp_s[rows],
-            self.arrival_s[rows],
-            self.east_m[rows],
-            self.north_m[rows],
-            self.hdop[rows],
-        )
-
 
 @dataclass(frozen=True, slots=True)
-class ReferenceStream:
+class ReferenceStream(Columns):
     """Rear-axle poses `(n, 3)` east, north, yaw of a reference system, sorted by `stamp_s`.
 
     `sd_m` `(n,)` is its own standard deviation per axis, NaN where it does not say.
@@ -91,9 +66,6 @@ class ReferenceStream:
     stamp_s: Floats
     poses: Floats
     sd_m: Floats
-
-    def __len__(self) -> int:
-        return len(self.stamp_s)
 
     def at(self, stamps_s: Any, *, max_gap_s: float = 1.0) -> Floats:
         """Poses `(m, 3)` at the stamps `(m,)`, linear between neighbours (yaw along the short way).
@@ -116,7 +88,3 @@ class ReferenceStream:
         return ReferencePose(
             float(self.stamp_s[row]), Pose2D(east, north, yaw), float(self.sd_m[row])
         )
-
-    def rows(self, rows: Rows) -> ReferenceStream:
-        """The chosen rows as a stream of their own."""
-        return ReferenceStream(self.stamp_s[rows], self.poses[rows], self.sd_m[rows])

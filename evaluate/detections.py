@@ -115,7 +115,7 @@ def record(
         np.asarray(pose, dtype=np.float64),
         near[share >= _EVIDENCE_SHARE],
         found.points_vehicle_m[sure],
-        perceived.scan.ids,
+        perceived.scan.track_id,
         perceived.scan.points_vehicle_m,
         perceived.view.region.origin_vehicle_m,
     )

@@ -22,8 +22,8 @@ from scipy.optimize import nnls
 
 from polemap.detect.config import DetectionConfig
 from polemap.detect.visibility import camera_sector
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.drive import Drive
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,7 @@ def camera_sensor(
     )
 
 
-def scans_sensor(scans: tuple[PoleScan, ...], p_detection: float) -> SensorModel | None:
+def scans_sensor(scans: tuple[Detections, ...], p_detection: float) -> SensorModel | None:
     """What a detector states of its sightings, as a model; None without view or sightings."""
     view = next((scan.view for scan in scans if scan.view is not None), None)
     if view is None or not any(len(scan) for scan in scans):

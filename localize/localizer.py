@@ -14,8 +14,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample, StereoFrame
+from polemap.drivelog.samples import GnssFix, OdometrySample, Sample, StereoFrame
 from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.clocks import StreamClock
 from polemap.localize.config import LocalizeConfig
@@ -39,7 +40,7 @@ class Perception(Protocol):
 
     def record_odometry(self, sample: OdometrySample, /) -> None: ...
 
-    def scan_frame(self, frame: StereoFrame, /) -> PoleScan: ...
+    def scan_frame(self, frame: StereoFrame, /) -> Detections: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +130,7 @@ class Localizer:
             self._add_odometry(sample)
         elif isinstance(sample, GnssFix):
             self._add_fix(sample)
-        elif isinstance(sample, PoleScan | StereoFrame) and self._particle_filter is not None:
+        elif isinstance(sample, Detections | StereoFrame) and self._particle_filter is not None:
             return self._process_view(sample)
         return None
 
@@ -265,7 +266,7 @@ class Localizer:
 
     # the slow half
 
-    def _process_view(self, sample: PoleScan | StereoFrame) -> PfEstimate | None:
+    def _process_view(self, sample: Detections | StereoFrame) -> PfEstimate | None:
         assert self._particle_filter is not None
         with self._fast:
             stamp = self._clocks["camera"].checked_stamp(sample.stamp_s, sample.arrival_s)
@@ -300,8 +301,8 @@ class Localizer:
             else:
                 particle_filter.add_fix(earlier)
 
-    def _scan_of(self, sample: PoleScan | StereoFrame) -> PoleScan:
-        if isinstance(sample, PoleScan):
+    def _scan_of(self, sample: Detections | StereoFrame) -> Detections:
+        if isinstance(sample, Detections):
             return sample
         if self._perception is None:
             raise InputError("a stereo frame was added, but this localizer has no perception")

@@ -9,17 +9,18 @@ from math import ceil, floor, nan
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.merge import SampleRows, merge_streams
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
+from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer, PoseUpdate
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
-_Input = OdometrySample | GnssFix | PoleScan
+_Input = OdometrySample | GnssFix | Detections
 
 # where nothing arrives for longer than this, the output pauses until something does again
 OUTPUT_HOLE_S = 60.0
@@ -82,7 +83,7 @@ def check_inputs(drive: Drive, pole_map: PoleMap | None, *, has_poles: bool) -> 
 def replay(
     drive: Drive,
     pole_map: PoleMap | None,
-    scans: Sequence[PoleScan],
+    scans: Sequence[Detections],
     config: LocalizeConfig,
     *,
     seed: int,
@@ -139,7 +140,7 @@ def replay(
     return Run(pf, tuple(updates), kf, output, flags, localizer.summary(), timings, spent)
 
 
-def _samples(drive: Drive, scans: Sequence[PoleScan]) -> Iterator[_Input]:
+def _samples(drive: Drive, scans: Sequence[Detections]) -> Iterator[_Input]:
     """Odometry, fixes and scans in the order of arrival; odometry first among equals."""
     streams: list[SampleRows[_Input]] = [
         SampleRows(stream.arrival_s, stream.stamp_s, stream.sample)

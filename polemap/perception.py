@@ -1,9 +1,10 @@
-"""The eye on one screen: frame -> disparity -> poles of this frame -> tracks -> scan."""
+"""Perception on one screen: frame -> disparity -> detections of this frame -> tracks -> scan."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,18 +12,21 @@ from polemap.config import PolemapConfig
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.detection import FrameView, detect
 from polemap.detect.models.io import read_classifier
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.odometry_window import OdometryWindow
-from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame, VisibleRegion
+from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
 from polemap.stereo.rig import StereoRig
 from polemap.track.disparity_offset import DisparityOffset
 from polemap.track.frame_motion import KEEP_S, motion_between
 from polemap.track.tracking import PoleTracker
-from polemap.track.tracks import Sighting, Tracks
+from polemap.track.tracks import Tracks, detections_of_tracks, tracks_in_view
+
+_Table = TypeVar("_Table", bound=Detections)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +37,7 @@ class PerceivedFrame:
     disparity: DisparityPair
     view: FrameView
     tracks: Tracks
-    scan: PoleScan
+    scan: Detections
 
 
 class PolePerception:
@@ -68,33 +72,13 @@ class PolePerception:
         self._stamp_s: float | None = None
 
     def record_odometry(self, sample: OdometrySample) -> None:
-        """Take a sample of speed and yaw rate."""
+        """Take a sample of speed and yaw rate; one with a value that is not finite is left out."""
         self._odometry.insert(sample)
         self._odometry.forget()
 
-    def scan_frame(self, frame: StereoFrame) -> PoleScan:
-        """The poles of a stereo frame; see `perceive`."""
+    def scan_frame(self, frame: StereoFrame) -> Detections:
+        """The tracked poles of a stereo frame; see `perceive`."""
         return self.perceive(frame).scan
-
-    def track_scan(self, scan: PoleScan, *, raw_stereo: bool = False) -> PoleScan:
-        """Track poles that were detected elsewhere; the scan comes back with ids and existence.
-
-        Args:
-            raw_stereo: they are this camera's detections as `detect` gives them, so they share an
-                error of the disparities, which is learned and corrected as in `perceive_disparity`.
-        """
-        sighting = Sighting(
-            scan.stamp_s,
-            scan.points_vehicle_m,
-            scan.covariance_m2,
-            scan.width_m,
-            np.full(len(scan), np.nan) if scan.height_m is None else scan.height_m,
-            scan.existence,
-            scan.view,
-        )
-        if raw_stereo and self._offset is not None:
-            return self._track_stereo(sighting, scan.arrival_s, self._offset)[1]
-        return self._track(sighting, scan.arrival_s)
 
     def perceive(self, frame: StereoFrame) -> PerceivedFrame:
         """The poles of a stereo frame with all that led to them.
@@ -103,113 +87,83 @@ class PolePerception:
             InputError: there is no camera, or the classifier cannot be read.
             StereoError: images that do not fit the camera.
         """
-        if self._rig is None:
-            raise InputError("perception: a stereo frame came, but the drive has no camera")
+        rig = self._require_rig()
         if self._matcher is None:
-            self._matcher = make_matcher(self._stereo, self._rig)
-        if self._classifier is None:
-            self._classifier = read_classifier(self._config.detection.model)
-        disparity = self._matcher.match(frame.left, frame.right)
-        return self.perceive_disparity(frame, disparity)
+            self._matcher = make_matcher(self._stereo, rig)
+        return self.perceive_disparity(frame, self._matcher.match(frame.left, frame.right))
 
     def perceive_disparity(self, frame: StereoFrame, disparity: DisparityPair) -> PerceivedFrame:
         """`perceive` with disparity maps that are there already."""
-        if self._rig is None or self._offset is None:
-            raise InputError("perception: a stereo frame came, but the drive has no camera")
+        rig = self._require_rig()
         if self._classifier is None:
             self._classifier = read_classifier(self._config.detection.model)
-        view = detect(
-            frame.left, frame.right, disparity, self._rig, self._classifier, self._config.detection
+        view = detect(frame, disparity, rig, self._classifier, self._config.detection)
+        corrected, scan = self._track_stereo(view.detections)
+        return PerceivedFrame(
+            frame, disparity, replace(view, detections=corrected), self._tracks(), scan
         )
-        found = view.detections
-        sighting = Sighting(
-            frame.stamp_s,
-            found.points_vehicle_m,
-            found.covariance_m2,
-            found.width_m,
-            found.height_m,
-            found.probability,
-            view.region,
-        )
-        mended, scan = self._track_stereo(sighting, frame.arrival_s, self._offset)
-        found = replace(found, points_vehicle_m=mended.points_vehicle_m)
-        view = replace(view, detections=found)
-        return PerceivedFrame(frame, disparity, view, self._tracks(), scan)
 
-    def _track_stereo(
-        self, raw: Sighting, arrival_s: float, offset: DisparityOffset
-    ) -> tuple[Sighting, PoleScan]:
+    def _require_rig(self) -> StereoRig:
+        if self._rig is None:
+            raise InputError("perception: a stereo frame came, but the drive has no camera")
+        return self._rig
+
+    def track_scan(self, scan: Detections, *, raw_stereo: bool = False) -> Detections:
+        """Track poles that were detected elsewhere; they come back with ids and existence.
+
+        Args:
+            raw_stereo: they are this camera's detections as `detect` gives them, so they share an
+                error of the disparities, which is learned and corrected as in `perceive`.
+        """
+        return self._track_stereo(scan)[1] if raw_stereo else self._track(scan)
+
+    def _track_stereo(self, raw: _Table) -> tuple[_Table, Detections]:
         """Track with what is known of the disparities' error, and learn more of it."""
+        offset = self._offset
+        if offset is None:
+            return raw, self._track(raw)
         elapsed_s = raw.stamp_s - self._stamp_s if self._stamp_s is not None else np.inf
         points = offset.corrected(raw.points_vehicle_m)
-        mended = replace(raw, points_vehicle_m=points, per_offset_m=offset.per_px(points))
+        corrected = raw.with_columns(
+            points_vehicle_m=points, shift_per_px_m=offset.shift_per_px(points)
+        )
         before = offset.value_px
-        scan = self._track(mended, arrival_s)
-        offset.learn(mended, self._tracker.tracks, elapsed_s)
-        self._tracker.shift(offset.value_px - before)
-        return mended, scan
+        scan = self._track(corrected)
+        offset.learn_from_tracks(corrected, self._tracker.tracks, elapsed_s)
+        self._tracker.shift_tracks(offset.value_px - before)
+        return corrected, scan
 
-    def _track(self, sighting: Sighting, arrival_s: float) -> PoleScan:
-        """Predict to the sighting's stamp, update, and say what is known now."""
-        tracker = self._tracker
+    def _track(self, detections: Detections) -> Detections:
+        """Predict to the stamp, correct, and say what is known now."""
         if self._stamp_s is not None:
-            motion = motion_between(
-                self._odometry,
-                self._stamp_s,
-                sighting.stamp_s,
-                gap_max_s=self._config.tracking.gap_max_s,
-            )
-            if motion is None:  # a hole in the odometry, or a clock that went back
-                tracker.clear()
-                if self._offset is not None:
-                    self._offset.clear()
-            else:
-                tracker.predict(motion)
-                if self._offset is not None:
-                    self._offset.move(motion)
-        self._stamp_s = sighting.stamp_s
-        tracker.update(sighting)
+            self._predict(self._stamp_s, detections.stamp_s)
+        self._stamp_s = detections.stamp_s
+        self._tracker.correct_tracks(detections)
         tracks = self._tracks()
         tracks = tracks.take(tracks.confirmed)
         if self._config.tracking.output == "tracks":
-            # a track that was just not seen is still known, but only what is in view is a scan
-            shown = tracks.detection >= 0
-            if sighting.view is not None:
-                shown |= sighting.view.contains(tracks.points_vehicle_m)
-            tracks = tracks.take(shown)
-            return _scan(sighting, arrival_s, tracks)
-        tracks = tracks.take(tracks.detection >= 0)
-        rows = tracks.detection
-        covariance = sighting.covariance_m2[rows]
-        if sighting.per_offset_m is not None and self._offset is not None:
-            shared = sighting.per_offset_m[rows]
-            covariance = covariance + self._offset.sd_px**2 * (
-                shared[:, :, None] * shared[:, None, :]
-            )
-        measured = replace(
-            tracks, points_vehicle_m=sighting.points_vehicle_m[rows], covariance_m2=covariance
+            return tracks_in_view(tracks, detections)
+        shared_sd_px = self._offset.sd_px if self._offset is not None else 0.0
+        return detections_of_tracks(tracks, detections, shared_sd_px)
+
+    def _predict(self, from_s: float, to_s: float) -> None:
+        """Move the tracks along with the odometry."""
+        motion = motion_between(
+            self._odometry, from_s, to_s, gap_max_s=self._config.tracking.gap_max_s
         )
-        return _scan(sighting, arrival_s, measured)
+        if motion is None:  # a hole in the odometry, or a clock that went back
+            self._tracker.drop_tracks()
+            if self._offset is not None:
+                self._offset.forget_tracks()
+            return
+        self._tracker.predict_tracks(motion)
+        if self._offset is not None:
+            self._offset.dead_reckon(motion)
 
     def _tracks(self) -> Tracks:
         """All tracks, with what the shared error adds to their covariance."""
         tracks = self._tracker.tracks
         return tracks if self._offset is None else tracks.with_shared(self._offset.sd_px**2)
-
-
-def _scan(sighting: Sighting, arrival_s: float, tracks: Tracks) -> PoleScan:
-    view: VisibleRegion | None = sighting.view
-    return PoleScan(
-        sighting.stamp_s,
-        arrival_s,
-        tracks.points_vehicle_m,
-        tracks.covariance_m2,
-        tracks.width_m,
-        tracks.ids,
-        tracks.existence,
-        view,
-        tracks.height_m,
-    )
 
 
 def scan_drive(
@@ -219,7 +173,7 @@ def scan_drive(
     *,
     stereo: StereoConfig | None = None,
     raw_stereo: bool = False,
-) -> list[PoleScan]:
+) -> list[Detections]:
     """The scans of a whole drive, from its images or from the poles that lie beside it.
 
     Args:
@@ -258,12 +212,12 @@ def perceive_drive(drive: Drive, perception: PolePerception) -> Iterator[Perceiv
             yield perception.perceive(sample)
 
 
-def samples_in_order(drive: Drive) -> Iterator[OdometrySample | StereoFrame | PoleScan]:
+def samples_in_order(drive: Drive) -> Iterator[OdometrySample | StereoFrame | Detections]:
     """Odometry and frames (or scans, where there are no frames) in the order of their stamps.
 
     A whole drive lies on disk, so nothing is late here.
     """
-    streams: list[SampleRows[OdometrySample | StereoFrame | PoleScan]] = []
+    streams: list[SampleRows[OdometrySample | StereoFrame | Detections]] = []
     # odometry of the same moment first: the motion up to a frame is known before the frame
     if drive.odometry is not None:
         stamps = drive.odometry.stamp_s

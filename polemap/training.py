@@ -138,7 +138,7 @@ def collect(
             continue
         frame = drive.read_frame(row)
         disparity = matcher.match(frame.left, frame.right)
-        found = detect(frame.left, frame.right, disparity, drive.rig, None, detection).detections
+        found = detect(frame, disparity, drive.rig, None, detection).detections
         looks.append((poses[row], found.points_vehicle_m, found.features, row * parts // count))
         if progress is not None:
             progress(config.every)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.simulate.config import DetectorConfig
 
 Floats = NDArray[np.float64]
@@ -54,7 +54,7 @@ class PoleDetector:
         self._lasting = rng.standard_normal((len(points), 2))
         self._lasting_width = _WIDTH_SD_M * rng.standard_normal(len(points))
 
-    def scan(self, stamp_s: float, pose: Floats) -> PoleScan:
+    def scan(self, stamp_s: float, pose: Floats) -> Detections:
         """The scan from a rear-axle pose `(3,)`."""
         config, view, rng = self._config, self._view, self._rng
         self._forget(stamp_s)
@@ -76,14 +76,13 @@ class PoleDetector:
         )
         _, ghost_covariance = _measured(ghosts, np.zeros((false, 2)), view, config)
         count = len(rows) + false
-        return PoleScan(
+        return pole_detections(
             stamp_s=stamp_s,
             arrival_s=stamp_s + config.latency_s,
             points_vehicle_m=np.vstack([seen, ghosts]),
             covariance_m2=np.concatenate([covariance, ghost_covariance]),
             width_m=np.concatenate([width, rng.uniform(*_GHOST_WIDTHS_M, false)]),
-            ids=np.full(count, -1, dtype=np.int64),
-            existence=np.full(count, _EXISTENCE),
+            probability=np.full(count, _EXISTENCE),
             view=view,
         )
 

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import PoleScan
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
 from polemap.simulate.detector import PoleDetector
@@ -166,7 +166,7 @@ def frame_times(
     return stamps[kept], np.maximum.accumulate(late)[kept]
 
 
-def pole_scans(detector: PoleDetector, motion: Motion, rate_hz: float) -> list[PoleScan]:
+def pole_scans(detector: PoleDetector, motion: Motion, rate_hz: float) -> list[Detections]:
     """What a detector reports of poles along a drive; nothing hides them."""
     stamps = np.arange(motion.stamp_s[0], motion.stamp_s[-1], 1.0 / rate_hz)
     poses = motion.at(stamps)

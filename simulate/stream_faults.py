@@ -66,7 +66,7 @@ class OdometryDropout(DriveFault):
     def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
         if drive.odometry is None:
             return drive
-        return replace(drive, odometry=drive.odometry.rows(~self.during(drive.odometry.stamp_s)))
+        return replace(drive, odometry=drive.odometry.take(~self.during(drive.odometry.stamp_s)))
 
 
 class GnssDropout(DriveFault):
@@ -77,7 +77,7 @@ class GnssDropout(DriveFault):
     def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
         if drive.gnss is None:
             return drive
-        return replace(drive, gnss=drive.gnss.rows(~self.during(drive.gnss.stamp_s)))
+        return replace(drive, gnss=drive.gnss.take(~self.during(drive.gnss.stamp_s)))
 
 
 class GnssOffset(DriveFault):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polemap.drivelog.detections import Detections, pole_detections
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import PoleScan
 from polemap.map.landmark_map import PoleMap
 
 
@@ -37,16 +37,14 @@ def plain_map(
 
 def plain_scan(
     stamp_s: float, points_vehicle_m: ArrayLike, *, variance_m2: float = 0.01, width_m: float = 0.3
-) -> PoleScan:
+) -> Detections:
     """Poles seen at `(n, 2)` in the vehicle frame, not tracked, and here at once."""
     points = np.asarray(points_vehicle_m, dtype=np.float64)
     n = len(points)
-    return PoleScan(
+    return pole_detections(
         stamp_s,
         stamp_s,
         points,
         np.tile(np.eye(2) * variance_m2, (n, 1, 1)),
-        np.full(n, width_m),
-        np.full(n, -1),
-        np.ones(n),
+        width_m=np.full(n, width_m),
     )

@@ -21,10 +21,10 @@ import numpy as np
 from polemap import __version__
 from polemap.config import PolemapConfig
 from polemap.drivelog.atomic import scratch_folder
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.processes import WorkerPool
-from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.tools.scan_cache import (
@@ -60,7 +60,7 @@ class Source:
 class Looked:
     """Tracked scans, and the seconds that each stage took, by the scan's stamp."""
 
-    scans: tuple[PoleScan, ...]
+    scans: tuple[Detections, ...]
     spent_s: Mapping[str, Mapping[float, float]]
 
     def total_s(self) -> dict[str, list[float]]:
@@ -129,7 +129,7 @@ def look(
 
 def tracked(
     drive: Drive,
-    raw: Sequence[PoleScan],
+    raw: Sequence[Detections],
     polemap: PolemapConfig,
     spent_s: Mapping[str, Mapping[float, float]] | None = None,
     every: int = 1,
@@ -174,13 +174,13 @@ def do_look(job: LookJob) -> None:
 
 def read_looks(
     files: Sequence[str],
-) -> tuple[list[PoleScan], dict[str, dict[float, float]]]:
+) -> tuple[list[Detections], dict[str, dict[float, float]]]:
     """What the jobs kept: raw scans, and seconds by stage and stamp.
 
     Raises:
         InputError: a file is damaged.
     """
-    scans: list[PoleScan] = []
+    scans: list[Detections] = []
     spent: dict[str, dict[float, float]] = {name: {} for name in STAGES}
     for file in files:
         part = read_scans(Path(file))

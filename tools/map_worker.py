@@ -7,9 +7,9 @@ from pathlib import Path
 from polemap.build.build_map import observe
 from polemap.build.city.work import DriveTask
 from polemap.build.drive_observations import DriveObservations
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.samples import PoleScan
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.tools.progress import Advance
@@ -21,7 +21,7 @@ def open_part(path: Path, lap: str | None, seed: int) -> Drive:
     return drive.lap(lap) if lap is not None else drive
 
 
-def scan(drive: Drive, settings: Settings, advance: Advance) -> list[PoleScan]:
+def scan(drive: Drive, settings: Settings, advance: Advance) -> list[Detections]:
     """Poles in the images; poles that were detected elsewhere go to the building as they are.
 
     The building joins detections over whole traversals with the reference, which beats any

@@ -22,9 +22,9 @@ from polemap.config import PolemapConfig
 from polemap.detect.detection import detect
 from polemap.detect.models.io import read_classifier
 from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher
 
@@ -38,7 +38,7 @@ STAGES = ("disparity", "detection")
 class RawScans:
     """Poles of some frames before tracking, and the seconds `(n, 2)` that each of `STAGES` took."""
 
-    scans: tuple[PoleScan, ...]
+    scans: tuple[Detections, ...]
     spent_s: Floats
 
 
@@ -77,28 +77,16 @@ def raw_scans(
         raise InputError(f"drive {drive.name}: it has images, but drive.yaml describes no camera")
     matcher = make_matcher(stereo, drive.rig)
     classifier = read_classifier(polemap.detection.model)
-    scans, spent = [], np.zeros((len(rows), len(STAGES)))
+    scans: list[Detections] = []
+    spent = np.zeros((len(rows), len(STAGES)))
     for number, row in enumerate(rows):
         frame = drive.read_frame(row)
         begin = perf_counter()
         disparity = matcher.match(frame.left, frame.right)
         middle = perf_counter()
-        view = detect(frame.left, frame.right, disparity, drive.rig, classifier, polemap.detection)
+        view = detect(frame, disparity, drive.rig, classifier, polemap.detection)
         spent[number] = middle - begin, perf_counter() - middle
-        found = view.detections
-        scans.append(
-            PoleScan(
-                frame.stamp_s,
-                frame.arrival_s,
-                found.points_vehicle_m,
-                found.covariance_m2,
-                found.width_m,
-                np.full(len(found.width_m), -1, dtype=np.int64),
-                found.probability,
-                view.region,
-                found.height_m,
-            )
-        )
+        scans.append(view.detections)
     return RawScans(tuple(scans), spent)
 
 
@@ -122,8 +110,8 @@ def write_scans(path: Path, raw: RawScans) -> None:
             points=joined([scan.points_vehicle_m for scan in scans], 2),
             covariance=joined([scan.covariance_m2 for scan in scans], 2, 2),
             width=joined([scan.width_m for scan in scans]),
-            existence=joined([scan.existence for scan in scans]),
-            height=joined([_heights(scan) for scan in scans]),
+            existence=joined([scan.probability for scan in scans]),
+            height=joined([scan.height_m for scan in scans]),
             bins=bins,
             sector=np.array([_sector(v) for v in views]).reshape(-1, 5),
             free=joined([v.free_range_m for v in views if v is not None]),
@@ -155,23 +143,18 @@ def read_scans(path: Path) -> RawScans | None:
                 data["free"][int(free_ends[i]) : int(free_ends[i + 1])],
             )
         scans.append(
-            PoleScan(
+            pole_detections(
                 stamp_s,
                 arrival_s,
                 data["points"][part],
                 data["covariance"][part],
-                data["width"][part],
-                np.full(part.stop - part.start, -1, dtype=np.int64),
-                data["existence"][part],
-                view,
-                data["height"][part],
+                width_m=data["width"][part],
+                height_m=data["height"][part],
+                probability=data["existence"][part],
+                view=view,
             )
         )
     return RawScans(tuple(scans), data["spent"])
-
-
-def _heights(scan: PoleScan) -> Floats:
-    return np.full(len(scan), np.nan) if scan.height_m is None else scan.height_m
 
 
 def _sector(view: VisibleRegion | None) -> list[float]:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer
-from polemap.drivelog.samples import PoleScan
 from polemap.vehicle.motion import sinc
 
 Floats = NDArray[np.float64]
@@ -67,8 +67,8 @@ MISTAKES = (
 class ScanPairs:
     """Pairs of scans `apart` in time, thinned to a handful over the drive."""
 
-    first: tuple[PoleScan, ...]
-    second: tuple[PoleScan, ...]
+    first: tuple[Detections, ...]
+    second: tuple[Detections, ...]
 
     def __len__(self) -> int:
         return len(self.first)
@@ -131,7 +131,7 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     return total
 
 
-def _points(scan: PoleScan, exchanged: bool) -> tuple[Floats, Floats]:
+def _points(scan: Detections, exchanged: bool) -> tuple[Floats, Floats]:
     points = scan.points_vehicle_m[:_POLES_MAX]
     covariance = np.clip(scan.covariance_m2[:_POLES_MAX], -_VARIANCE_MAX_M2, _VARIANCE_MAX_M2)
     if not exchanged:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.readers.drive_yaml import DetectorPart
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.drivelog.stamps import in_order
 from polemap.drivelog.tables import Table, read_table
 
@@ -26,7 +26,7 @@ def read_scans(
     detector: DetectorPart | None,
     problems: Counter[str],
     findings: list[Finding],
-) -> tuple[tuple[PoleScan, ...], str | None]:
+) -> tuple[tuple[Detections, ...], str | None]:
     """All scans of a folder, and a note where their view had to be estimated.
 
     Rows with numbers that are not finite or a covariance that is not positive are left out and
@@ -68,26 +68,23 @@ def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> 
     return table
 
 
-def _scans(stamps: Floats, poles: Table | None, view: VisibleRegion | None) -> tuple[PoleScan, ...]:
+def _scans(
+    stamps: Floats, poles: Table | None, view: VisibleRegion | None
+) -> tuple[Detections, ...]:
     if poles is None:
-        empty = np.empty(0)
         return tuple(
-            PoleScan(float(t), float(t), np.empty((0, 2)), np.empty((0, 2, 2)), empty,
-                     np.empty(0, dtype=np.int64), empty, view)
+            pole_detections(float(t), float(t), np.empty((0, 2)), np.empty((0, 2, 2)), view=view)
             for t in stamps
-        )  # fmt: skip
+        )
     n = len(poles)
     points = np.stack([poles["x_m"], poles["y_m"]], axis=1)
     covariance = np.empty((n, 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = poles["var_x_m2"], poles["var_y_m2"]
     covariance[:, 0, 1] = covariance[:, 1, 0] = poles["cov_xy_m2"]
     width = poles["width_m"] if "width_m" in poles else np.full(n, np.nan)
-    existence = poles["probability"] if "probability" in poles else np.ones(n)
+    probability = poles["probability"] if "probability" in poles else np.ones(n)
     arrival = poles["arrival_s"] if "arrival_s" in poles else poles["stamp_s"]
     arrival = np.where(arrival >= poles["stamp_s"], arrival, poles["stamp_s"])
-    ids = np.full(n, -1, dtype=np.int64)
-    for values in (points, covariance, width, existence, ids):
-        values.setflags(write=False)
     first = np.searchsorted(poles["stamp_s"], stamps, side="left")
     last = np.searchsorted(poles["stamp_s"], stamps, side="right")
     scans = []
@@ -95,9 +92,16 @@ def _scans(stamps: Floats, poles: Table | None, view: VisibleRegion | None) -> t
         rows = slice(int(a), int(b))
         seen = float(arrival[rows].max()) if b > a else float(stamp)
         scans.append(
-            PoleScan(float(stamp), seen, points[rows], covariance[rows], width[rows], ids[rows],
-                     existence[rows], view)
-        )  # fmt: skip
+            pole_detections(
+                float(stamp),
+                seen,
+                points[rows],
+                covariance[rows],
+                width_m=width[rows],
+                probability=probability[rows],
+                view=view,
+            )
+        )
     return tuple(scans)
 
 

@@ -13,10 +13,11 @@ import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_folder
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.drive import Drive, Lap
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
-from polemap.drivelog.samples import Image, PoleScan, VisibleRegion
+from polemap.drivelog.samples import Image
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.stereo.rig import StereoRig
 
@@ -103,7 +104,7 @@ class FolderWriter:
             },
         )
 
-    def scans(self, scans: Sequence[PoleScan]) -> None:
+    def scans(self, scans: Sequence[Detections]) -> None:
         """Write poles.csv and scans.csv."""
         counts = [len(scan) for scan in scans]
         points = _join([scan.points_vehicle_m for scan in scans], (0, 2))
@@ -120,7 +121,7 @@ class FolderWriter:
                 "cov_xy_m2": (covariance[:, 0, 1], "%.9g"),
                 "width_m": (_join([scan.width_m for scan in scans], (0,)), "%.4f"),
                 "arrival_s": (np.repeat([scan.arrival_s for scan in scans], counts), "%.6f"),
-                "probability": (_join([scan.existence for scan in scans], (0,)), "%.4f"),
+                "probability": (_join([scan.probability for scan in scans], (0,)), "%.4f"),
             },
         )
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
 
 try:
@@ -108,7 +108,7 @@ class PoseLikelihoods:
 
 def pole_log_likelihood(
     poses: Floats,
-    scan: PoleScan,
+    scan: Detections,
     landmarks: Landmarks,
     model: PoleModel,
     *,
@@ -165,18 +165,18 @@ def pole_log_likelihood(
     return _likelihood_scipy(np.asarray(poses), scan, landmarks, model, view, want_assignment)
 
 
-def _prepared(scan: PoleScan, model: PoleModel) -> tuple[Floats, Floats]:
+def _prepared(scan: Detections, model: PoleModel) -> tuple[Floats, Floats]:
     """Covariances `(z, 3)` with the floor, and the log factor of each pole against clutter."""
     full = scan.covariance_m2.reshape(-1, 2, 2)
     floor = model.position_floor_m**2
     covariance = np.stack([full[:, 0, 0] + floor, full[:, 1, 1] + floor, full[:, 0, 1]], axis=1)
-    existence = np.clip(scan.existence, 1e-3, 1.0)
+    existence = np.clip(scan.probability, 1e-3, 1.0)
     return covariance, np.asarray(np.log(existence / model.clutter_per_m2))
 
 
 def pair_gains(
     pose: Floats,
-    scan: PoleScan,
+    scan: Detections,
     landmarks: Landmarks,
     model: PoleModel,
     view: VisibleRegion | None,
@@ -218,7 +218,7 @@ def pair_gains(
 
 def _likelihood_scipy(
     poses: Floats,
-    scan: PoleScan,
+    scan: Detections,
     landmarks: Landmarks,
     model: PoleModel,
     view: VisibleRegion | None,

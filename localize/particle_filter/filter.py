@@ -7,7 +7,8 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.calibration import OdometryCalibration, OdometryCorrection
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.gnss.particle_weights import FixWeights
@@ -134,7 +135,7 @@ class ParticleFilter:
         self._stamp_s, self._travelled_m = stamp_s, self._history.travelled_m(stamp_s)
         self._recovery.believe()
 
-    def process_scan(self, scan: PoleScan) -> PfEstimate | None:
+    def process_scan(self, scan: Detections) -> PfEstimate | None:
         """Move to the scan's stamp, weigh, explore, estimate, resample.
 
         Returns:
@@ -180,7 +181,7 @@ class ParticleFilter:
         self._calibration.learn_from_pose(stamp, estimate.pose, estimate.covariance, held)
         return estimate
 
-    def _weigh_scan(self, scan: PoleScan, share: float) -> None:
+    def _weigh_scan(self, scan: Detections, share: float) -> None:
         particles = self._particles
         rear, before = particles.rear, particles.weights
         self._landmarks = self._weigher.near(rear, scan)
@@ -199,7 +200,7 @@ class ParticleFilter:
             scan.stamp_s, normalized_quality(result, before, len(scan))
         )
 
-    def _estimate(self, scan: PoleScan, event: Event | None, step: Step) -> PfEstimate:
+    def _estimate(self, scan: Detections, event: Event | None, step: Step) -> PfEstimate:
         config = self._config
         rear, weights = self._particles.rear, self._particles.weights
         mean, covariance = mean_and_covariance(rear, weights)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import GnssFix, PoleScan
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import GnssFix
 from polemap.localize.config import RecoveryConfig
 from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
 from polemap.localize.gnss.particle_weights import MAX_AGE_S
@@ -58,7 +59,7 @@ class PlaceSearch:
         """Take in a fix and the dead-reckoned pose `(3,)` of its moment."""
         self._alignment.add_fix(fix, odometry_pose)
 
-    def add_scan(self, scan: PoleScan, odometry_pose: Floats, travelled_m: float) -> None:
+    def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> None:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
         self._recent.add_scan(scan, odometry_pose, travelled_m)
 

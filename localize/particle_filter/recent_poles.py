@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import PoleScan
+from polemap.drivelog.detections import Detections
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class RecentPoles:
         self._last_s = np.empty(0)
         self._added_s = -np.inf
 
-    def add_scan(self, scan: PoleScan, odometry_pose: Floats, travelled_m: float) -> None:
+    def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> None:
         """Add a scan taken at the dead-reckoned rear-axle pose `(3,)`."""
         if scan.stamp_s - self._added_s < _INTERVAL_S:
             return

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import PoleScan
+from polemap.drivelog.detections import Detections
 from polemap.localize.config import RecoveryConfig
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.particle_filter.estimate import Event
@@ -77,7 +77,7 @@ class Recovery:
         self.proof.believe()
 
     def recover(
-        self, particles: ParticleSet, scan: PoleScan, odometry_pose: Floats, scan_evidence: float
+        self, particles: ParticleSet, scan: Detections, odometry_pose: Floats, scan_evidence: float
     ) -> Event | None:
         """Start anew when lost, explore when the likelihood has fallen; what was done, if anything.
 
@@ -110,7 +110,7 @@ class Recovery:
         return "explored"
 
     def _begin_elsewhere(
-        self, particles: ParticleSet, scan: PoleScan, odometry_pose: Floats
+        self, particles: ParticleSet, scan: Detections, odometry_pose: Floats
     ) -> Event | None:
         """The poles of the last metres fit clearly better at another place."""
         if not self._restart(particles, _RESTART_SHARE, scan, odometry_pose):
@@ -122,7 +122,7 @@ class Recovery:
         return "initialized"
 
     def _restart(
-        self, particles: ParticleSet, share: float, scan: PoleScan, odometry_pose: Floats
+        self, particles: ParticleSet, share: float, scan: Detections, odometry_pose: Floats
     ) -> bool:
         """Let a share of the particles start anew; whether there was anywhere to start."""
         count = round(share * len(particles))
@@ -139,7 +139,9 @@ class Recovery:
         self.explored_share = len(rear) / len(particles)
         particles.replace_some(rear, log_weights)
 
-    def prove(self, scan: PoleScan, fit: Match, pose: Floats, step: Step, *, narrow: bool) -> None:
+    def prove(
+        self, scan: Detections, fit: Match, pose: Floats, step: Step, *, narrow: bool
+    ) -> None:
         """Ask the last metres' constellation while the place is not proven, or in doubt again."""
         proof = self.proof
         proof.add_fit(fit.matched, len(scan), step.elapsed_s)

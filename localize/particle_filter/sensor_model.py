@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.localize.config import LocalizeConfig, PolesConfig
 from polemap.localize.particle_filter.assignment import PoseLikelihoods, pole_log_likelihood
 from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
@@ -31,7 +31,7 @@ def default_view(config: PolesConfig) -> VisibleRegion:
     )
 
 
-def reach_of(scan: PoleScan, view: VisibleRegion) -> float:
+def reach_of(scan: Detections, view: VisibleRegion) -> float:
     """Distance from the rear axle beyond which no map pole can matter to the scan."""
     reach = float(np.hypot(*view.origin_vehicle_m)) + float(np.max(view.free_range_m))
     if len(scan):
@@ -63,7 +63,7 @@ class PoleWeigher:
         self._view = default_view(config.poles)
         self._threads = config.threads
 
-    def near(self, rear_poses: Floats, scan: PoleScan) -> Landmarks:
+    def near(self, rear_poses: Floats, scan: Detections) -> Landmarks:
         """Map poles within reach of any of the poses `(n, 3)`; scattered ones ask by cells."""
         reach = reach_of(scan, self._view_of(scan))
         low, high = rear_poses[:, :2].min(axis=0), rear_poses[:, :2].max(axis=0)
@@ -79,7 +79,7 @@ class PoleWeigher:
         return Landmarks.of(self._map, self._p_detection, rows)
 
     def weigh(
-        self, rear_poses: Floats, scan: PoleScan, landmarks: Landmarks | None = None
+        self, rear_poses: Floats, scan: Detections, landmarks: Landmarks | None = None
     ) -> PoseLikelihoods:
         """Likelihood of the scan for every rear-axle pose `(n, 3)`.
 
@@ -94,7 +94,7 @@ class PoleWeigher:
             threads=self._threads,
         )
 
-    def match(self, pose: Floats, scan: PoleScan, landmarks: Landmarks) -> Match:
+    def match(self, pose: Floats, scan: Detections, landmarks: Landmarks) -> Match:
         """Match a scan from a single rear-axle pose `(3,)`."""
         result = self.weigh(pose[np.newaxis], scan, landmarks)
         c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -102,7 +102,7 @@ class PoleWeigher:
         in_view = int(self._view_of(scan).contains(local).sum())
         return Match(int(result.matched[0]), in_view, float(result.expected[0]))
 
-    def _view_of(self, scan: PoleScan) -> VisibleRegion:
+    def _view_of(self, scan: Detections) -> VisibleRegion:
         return scan.view if scan.view is not None else self._view
 
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from polemap.api.poles import Perception
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError
-from polemap.drivelog.samples import PoleScan
 from polemap.localize import localizer as live
 from polemap.localize import replay as replays
 from polemap.map.landmark_map import PoleMap
@@ -89,7 +89,7 @@ def replay(
     chosen = settings or Settings()
     has_poles = drive.has_frames or bool(drive.scans)
     replays.check_inputs(drive, pole_map, has_poles=has_poles)
-    scans: Sequence[PoleScan] = ()
+    scans: Sequence[Detections] = ()
     if pole_map is not None:
         scans = scan_drive(drive, chosen.polemap, progress, stereo=chosen.stereo)
     return replays.replay(drive, pole_map, scans, chosen.localize, seed=seed)

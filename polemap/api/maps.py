@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from polemap.build import build_map as building
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
-from polemap.drivelog.samples import PoleScan
 from polemap.map.landmark_map import PoleMap
 from polemap.perception import scan_drive
 from polemap.settings import Settings
@@ -39,7 +39,7 @@ def build_map(
     """
     chosen = settings or Settings()
 
-    def scans(drive: Drive) -> Sequence[PoleScan]:
+    def scans(drive: Drive) -> Sequence[Detections]:
         if drive.has_frames or not drive.scans:
             return scan_drive(drive, chosen.polemap, progress, stereo=chosen.stereo)
         # the building joins detections over whole traversals, which tracking could only make fewer

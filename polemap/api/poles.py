@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from polemap.detect.detection import Detections
+from polemap.detect.detection import StereoDetections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.images import read_grey
@@ -29,7 +29,7 @@ class PolesInPair:
         probability_min: from which probability on a hypothesis is called a pole.
     """
 
-    detections: Detections
+    detections: StereoDetections
     probability_min: float
     _perceived: PerceivedFrame
 

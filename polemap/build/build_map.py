@@ -8,13 +8,13 @@ from polemap.build.assemble import BuiltMap, assemble_map
 from polemap.build.config import MappingConfig
 from polemap.build.drive_observations import DriveObservations, observe_drive
 from polemap.config import PolemapConfig
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import PoleScan
 from polemap.map.landmark_map import PoleMap
 
-Scan = Callable[[Drive], Sequence[PoleScan]]
+Scan = Callable[[Drive], Sequence[Detections]]
 
 __all__ = ["BuiltMap", "Scan", "assemble_map", "build_map", "observe", "unique_names"]
 
@@ -64,7 +64,7 @@ def unique_names(drives: Iterable[Drive]) -> list[str]:
 
 
 def observe(
-    drive: Drive, name: str, scans: Sequence[PoleScan], config: MappingConfig, frame: EarthFrame
+    drive: Drive, name: str, scans: Sequence[Detections], config: MappingConfig, frame: EarthFrame
 ) -> DriveObservations:
     """What one drive contributes to a map in `frame`.
 

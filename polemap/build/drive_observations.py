@@ -18,8 +18,8 @@ from polemap.build.traversals import (
     average_traversals,
     cannot_link_pairs,
 )
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import PoleScan
 from polemap.drivelog.streams import ReferenceStream
 
 Whole = NDArray[np.int64]
@@ -76,7 +76,7 @@ class DriveObservations:
 def observe_drive(
     name: str,
     drive_frame: EarthFrame,
-    scans: Sequence[PoleScan],
+    scans: Sequence[Detections],
     reference: ReferenceStream,
     config: MappingConfig,
     frame: EarthFrame,

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.config import MappingConfig
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, convergence_rad, transform_points
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.pose import wrap_angle
 
@@ -105,7 +105,7 @@ class MapDetections:
 def georeference_scans(
     drive: str,
     drive_frame: EarthFrame,
-    scans: Iterable[PoleScan],
+    scans: Iterable[Detections],
     reference: ReferenceStream,
     config: MappingConfig,
     frame: EarthFrame,
@@ -180,7 +180,7 @@ def _poses_in(poses: Floats, source: EarthFrame, target: EarthFrame) -> Floats:
     return np.column_stack([points, wrap_angle(poses[:, 2] + turn)])
 
 
-def _views(stamps: Floats, poses: Floats, scans: list[PoleScan]) -> ScanViews:
+def _views(stamps: Floats, poses: Floats, scans: list[Detections]) -> ScanViews:
     regions = [scan.view for scan in scans]
     bins = max((len(view.free_range_m) for view in regions if view is not None), default=1)
     return ScanViews(
@@ -205,7 +205,7 @@ def _free(view: VisibleRegion | None, bins: int) -> Floats:
 def _rows(
     drive: str,
     frame: EarthFrame,
-    scans: list[PoleScan],
+    scans: list[Detections],
     views: ScanViews,
     reference: ReferenceStream,
     config: MappingConfig,

@@ -14,7 +14,8 @@ from polemap.detect.ground import Ground, fit_ground
 from polemap.detect.hypotheses import Hypotheses, find_hypotheses, find_slices
 from polemap.detect.refine import refine_disparity
 from polemap.detect.visibility import visible_region
-from polemap.drivelog.samples import Image, VisibleRegion
+from polemap.drivelog.detections import Detections, LandmarkKind, VisibleRegion
+from polemap.drivelog.samples import StereoFrame
 from polemap.stereo.depth_edges import DepthEdges, depth_edges, upright_maps
 from polemap.stereo.matching import DisparityPair
 from polemap.stereo.rig import StereoRig
@@ -25,20 +26,16 @@ _SHORTEST_M = 0.2
 _FARTHEST = 3.0  # lengths
 
 
-@dataclass(frozen=True, slots=True)
-class Detections:
-    """Hypotheses of one frame, one a row, best first.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StereoDetections(Detections):
+    """Hypotheses of one stereo frame, best first: detections, and what the images showed of them.
 
     Attributes:
         left_px, right_px, top_px, bottom_px: box in the left image (flanks at mid height).
         slope: columns a row of the axis, for pictures.
         disparity_px: of the front surface.
-        points_vehicle_m: `(n, 2)` axis at ground level.
-        covariance_m2: `(n, 2, 2)`.
-        width_m, height_m: `(n,)`; the height is that of the highest evidence above the ground.
         border: touches the image border, so a flank is assumed.
         features: `(n, k)`.
-        probability: `(n,)`.
     """
 
     left_px: Floats
@@ -47,35 +44,22 @@ class Detections:
     bottom_px: Floats
     slope: Floats
     disparity_px: Floats
-    points_vehicle_m: Floats
-    covariance_m2: Floats
-    width_m: Floats
-    height_m: Floats
     border: NDArray[np.bool_]
     features: Floats
-    probability: Floats
-
-    def __len__(self) -> int:
-        return len(self.probability)
-
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Detections:
-        """The chosen rows."""
-        return Detections(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
 @dataclass(frozen=True, slots=True)
 class FrameView:
     """All that one frame showed; `edges` are left and right flanks."""
 
-    detections: Detections
+    detections: StereoDetections
     ground: Ground
     edges: tuple[DepthEdges, DepthEdges]
     region: VisibleRegion
 
 
 def detect(
-    left: Image,
-    right: Image,
+    frame: StereoFrame,
     disparity: DisparityPair,
     rig: StereoRig,
     classifier: PoleClassifier | None,
@@ -84,8 +68,8 @@ def detect(
     """Find the poles of one frame.
 
     Args:
-        left, right: the rectified pair.
-        disparity: both checked maps.
+        frame: the rectified pair.
+        disparity: both checked maps of it.
         rig: its camera.
         classifier: says how likely a hypothesis is a pole; without one, as for training, all
             hypotheses are kept with probability 0.5.
@@ -96,16 +80,32 @@ def detect(
     ground = fit_ground(maps, rig)
     edges = depth_edges(maps, config.step_min_px, config.step_min_m / focal_baseline)
     hypotheses = find_hypotheses(find_slices(*edges, rig, config), ground, rig, config)
-    profiles = measure_features(hypotheses, maps, left, ground, rig)
+    profiles = measure_features(hypotheses, maps, frame.left, ground, rig)
     probability = np.full(len(hypotheses), 0.5)
     if classifier is not None:
         probability = classifier.probability(profiles.features)
-    region = visible_region(maps, ground, rig, config)
+    view = visible_region(maps, ground, rig, config)
+    fitted = _fit_disparity(frame, hypotheses, profiles, probability, config)
+    found = _locate(frame, view, hypotheses, profiles, fitted, probability, rig, config)
+    distance = np.hypot(*(found.points_vehicle_m - view.origin_vehicle_m).T)
+    found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
+    found = _suppress(found) if classifier is not None else found
+    return FrameView(found, ground, edges, view)
+
+
+def _fit_disparity(
+    frame: StereoFrame,
+    hypotheses: Hypotheses,
+    profiles: Profiles,
+    probability: Floats,
+    config: DetectionConfig,
+) -> tuple[Floats, Floats]:
+    """Disparity and standard deviation `(n,)`: of the likely ones fitted to the images."""
     likely = probability >= config.refine_probability
     refined, refined_sd = profiles.disparity_px.copy(), profiles.disparity_sd_px.copy()
     fit = refine_disparity(
-        left,
-        right,
+        frame.left,
+        frame.right,
         profiles.left_px[likely],
         profiles.right_px[likely],
         hypotheses.top_px[likely],
@@ -117,23 +117,21 @@ def detect(
     # the matcher's own value, where the fit failed, is worth less than it claims
     refined_sd = np.hypot(refined_sd, config.matcher_sd_px)
     refined_sd[likely] = np.where(fit.trusted, fit.sd_px, refined_sd[likely])
-    found = _locate(hypotheses, profiles, refined, refined_sd, probability, rig, config)
-    distance = np.hypot(*(found.points_vehicle_m - region.origin_vehicle_m).T)
-    found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
-    found = _suppress(found) if classifier is not None else found
-    return FrameView(found, ground, edges, region)
+    return refined, refined_sd
 
 
 def _locate(
+    frame: StereoFrame,
+    view: VisibleRegion,
     hypotheses: Hypotheses,
     profiles: Profiles,
-    disparity: Floats,
-    disparity_sd: Floats,
+    fitted: tuple[Floats, Floats],
     probability: Floats,
     rig: StereoRig,
     config: DetectionConfig,
-) -> Detections:
-    """Axis at ground level in the vehicle frame, with the covariance of the stereo error model."""
+) -> StereoDetections:
+    """Axis at ground level in the vehicle frame, best hypothesis first."""
+    disparity, _ = fitted
     focal_baseline = rig.focal_px * rig.baseline_m
     width_m = (profiles.right_px - profiles.left_px) * rig.baseline_m / disparity
     # what is matched is the front of a cylinder: on average 0.8 radii before its axis
@@ -144,6 +142,44 @@ def _locate(
     # the foot's row belongs to the surface's depth; the axis stands at the same height
     camera[:, 1] *= surface / (surface + axis_m)
     points = rig.vehicle_points(camera)[:, :2]
+    n = len(points)
+    order = np.argsort(-probability, kind="stable")
+    return StereoDetections(
+        stamp_s=frame.stamp_s,
+        arrival_s=frame.arrival_s,
+        view=view,
+        kind=np.full(n, LandmarkKind.POLE, dtype=np.int8),
+        points_vehicle_m=points,
+        covariance_m2=_covariance(points, width_m, hypotheses, profiles, fitted, rig, config),
+        width_m=width_m,
+        height_m=profiles.top_m,
+        probability=probability,
+        track_id=np.full(n, -1, dtype=np.int64),
+        shift_per_px_m=np.zeros((n, 2)),
+        left_px=profiles.left_px,
+        right_px=profiles.right_px,
+        top_px=hypotheses.top_px,
+        bottom_px=hypotheses.bottom_px,
+        slope=hypotheses.slope,
+        disparity_px=disparity,
+        border=profiles.border,
+        features=profiles.features,
+    ).take(order)
+
+
+def _covariance(
+    points: Floats,
+    width_m: Floats,
+    hypotheses: Hypotheses,
+    profiles: Profiles,
+    fitted: tuple[Floats, Floats],
+    rig: StereoRig,
+    config: DetectionConfig,
+) -> Floats:
+    """Covariance `(n, 2, 2)` of the axis: a part along the line of sight, and one across it."""
+    disparity, disparity_sd = fitted
+    focal_baseline = rig.focal_px * rig.baseline_m
+    surface = focal_baseline / disparity
     sd_disparity = np.hypot(config.disparity_sd_px, disparity_sd)
     sd_range = np.hypot(surface**2 / focal_baseline * sd_disparity, config.axis_sd_share * width_m)
     sd_column = np.hypot(config.column_sd_px, profiles.flank_sd_px / np.sqrt(2.0))
@@ -161,29 +197,13 @@ def _locate(
     ray = points - np.array([rig.vehicle_from_camera.x_m, rig.vehicle_from_camera.y_m])
     ray = ray / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-6)[:, None]
     across = np.stack([-ray[:, 1], ray[:, 0]], axis=1)
-    covariance = (
+    return np.asarray(
         sd_range[:, None, None] ** 2 * ray[:, :, None] * ray[:, None, :]
         + sd_across[:, None, None] ** 2 * across[:, :, None] * across[:, None, :]
     )
-    order = np.argsort(-probability, kind="stable")
-    return Detections(
-        left_px=profiles.left_px,
-        right_px=profiles.right_px,
-        top_px=hypotheses.top_px,
-        bottom_px=hypotheses.bottom_px,
-        slope=hypotheses.slope,
-        disparity_px=disparity,
-        points_vehicle_m=points,
-        covariance_m2=covariance,
-        width_m=width_m,
-        height_m=profiles.top_m,
-        border=profiles.border,
-        features=profiles.features,
-        probability=probability,
-    ).take(order)
 
 
-def _suppress(found: Detections) -> Detections:
+def _suppress(found: StereoDetections) -> StereoDetections:
     """Drop what a better hypothesis already explains: the same columns at a similar depth."""
     if len(found) < 2:
         return found

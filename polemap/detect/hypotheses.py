@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from polemap.detect.components import components
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import Ground
+from polemap.drivelog.columns import Columns
 from polemap.stereo.depth_edges import DepthEdges
 from polemap.stereo.rig import StereoRig
 
@@ -32,7 +33,7 @@ _RANKS = 6  # right flanks that are tried for a left one
 
 
 @dataclass(frozen=True, slots=True)
-class Slices:
+class Slices(Columns):
     """Row slices of thin objects: `(n,)` row, first and last column, disparity, flags."""
 
     row_px: Floats
@@ -46,7 +47,7 @@ class Slices:
 
 
 @dataclass(frozen=True, slots=True)
-class Hypotheses:
+class Hypotheses(Columns):
     """Upright groups of slices, one a row of every array.
 
     The centre line is `column_px + slope * (row - row_px)`; `(n,)` each.
@@ -78,13 +79,6 @@ class Hypotheses:
     far_right_px: Floats
     occluding_left: Floats
     occluding_right: Floats
-
-    def __len__(self) -> int:
-        return len(self.column_px)
-
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Hypotheses:
-        """The chosen rows."""
-        return Hypotheses(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
 def find_slices(
@@ -130,7 +124,7 @@ def find_hypotheses(
     slices: Slices, ground: Ground, rig: StereoRig, config: DetectionConfig
 ) -> Hypotheses:
     """Groups of slices that could be a pole: upright, thin, tall enough, near the ground."""
-    if len(slices.row_px) == 0:
+    if len(slices) == 0:
         return _fit(slices, np.empty(0, dtype=np.int64), 0)
     label, count = _link(slices, rig, config)
     # what has too few slices before outliers are left out has too few after, too
@@ -155,7 +149,7 @@ def _renumber(label: Ints, keep: NDArray[np.bool_]) -> tuple[Ints, int]:
 
 def _link(slices: Slices, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, int]:
     """Components of slices that follow each other in neighbouring rows."""
-    n = len(slices.row_px)
+    n = len(slices)
     row = (slices.row_px / config.row_step_px).astype(np.int64)
     row -= row.min()
     centre = 0.5 * (slices.left_px + slices.right_px)

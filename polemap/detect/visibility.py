@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import Ground
-from polemap.drivelog.samples import VisibleRegion
+from polemap.drivelog.detections import VisibleRegion
 from polemap.stereo.depth_edges import UprightMaps
 from polemap.stereo.rig import StereoRig
 

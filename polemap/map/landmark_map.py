@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
+from polemap.drivelog.detections import VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, transform_points
-from polemap.drivelog.samples import VisibleRegion
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections
 from polemap.stereo.rig import StereoRig
 from polemap.track.config import TrackingConfig
-from polemap.track.tracks import Motion, Sighting, Tracks
+from polemap.track.tracks import Motion, Tracks
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ _LARGEST_SD = 3.0  # a track that contradicts the others by more was mixed up
 
 
 @dataclass(slots=True)
-class _Sum:
+class _NormalEquations:
     """Normal equations of one track: place (2) in the dead-reckoned frame, offset, scale."""
 
     start_m: Floats
@@ -43,11 +44,11 @@ class _Sum:
     seen_s: float = 0.0
 
     def add(self, place_m: Floats, design: Floats, covariance_m2: Floats, share: float) -> None:
-        """Add a sighting that says: `place_m` `(2,)` is `design` `(2, 4)` times the unknowns.
+        """Add a detection that says: `place_m` `(2,)` is `design` `(2, 4)` times the unknowns.
 
         Args:
             covariance_m2: `(2, 2)` of the place.
-            share: the part of an independent sighting that it is worth.
+            share: the part of an independent detection that it is worth.
         """
         weight = share * np.linalg.inv(covariance_m2)
         self.information += design.T @ weight @ design
@@ -69,7 +70,7 @@ class DisparityOffset:
         self._rig = rig
         self._origin_m, self._ahead = _line_of_sight(rig)
         self._focal_baseline = rig.focal_px * rig.baseline_m
-        self._sums: dict[int, _Sum] = {}
+        self._sums: dict[int, _NormalEquations] = {}
         self._pose = np.zeros(3)
         self._variance = config.disparity_offset_sd_px**2
         self.value_px = 0.0
@@ -82,11 +83,11 @@ class DisparityOffset:
         """Standard deviation of the value."""
         return float(np.sqrt(self._variance))
 
-    def clear(self) -> None:
+    def forget_tracks(self) -> None:
         """Forget the tracks; what was learned stays."""
         self._sums.clear()
 
-    def move(self, motion: Motion) -> None:
+    def dead_reckon(self, motion: Motion) -> None:
         """Dead reckoning between two frames."""
         east, north, yaw = self._pose
         c, s = np.cos(yaw), np.sin(yaw)
@@ -102,16 +103,16 @@ class DisparityOffset:
         """Points `(n, 2)` from the camera's own disparities, moved by the present value."""
         return with_disparity(points_vehicle_m, self.value_px, self._rig)
 
-    def per_px(self, points_vehicle_m: Floats) -> Floats:
+    def shift_per_px(self, points_vehicle_m: Floats) -> Floats:
         """How points `(n, 2)` move if the disparities are one pixel more: nearer along the ray."""
         ray = points_vehicle_m - self._origin_m
         return np.asarray(-ray * (ray @ self._ahead)[:, np.newaxis] / self._focal_baseline)
 
-    def learn(self, sighting: Sighting, tracks: Tracks, elapsed_s: float) -> None:
+    def learn_from_tracks(self, detections: Detections, tracks: Tracks, elapsed_s: float) -> None:
         """Add the detections that tracks took; tracks that ended count for good.
 
         Args:
-            sighting: of corrected points.
+            detections: of corrected points.
             tracks: after their update with it.
             elapsed_s: time since the frame before, inf for the first.
         """
@@ -122,15 +123,17 @@ class DisparityOffset:
         share = min(1.0, elapsed_s / (2.0 * time_s)) if time_s > 0 else 1.0
         for row in np.flatnonzero(tracks.detection >= 0):
             which = int(tracks.detection[row])
-            away_m = float(np.hypot(*(sighting.points_vehicle_m[which] - self._origin_m)))
+            away_m = float(np.hypot(*(detections.points_vehicle_m[which] - self._origin_m)))
             total = self._sums.get(int(tracks.ids[row]))
             if total is None:
-                total = self._sums[int(tracks.ids[row])] = _Sum(
-                    self._pose[:2].copy(), sighting.stamp_s
+                total = self._sums[int(tracks.ids[row])] = _NormalEquations(
+                    self._pose[:2].copy(), detections.stamp_s
                 )
-            self._add(total, sighting, which, away_m, share)
-            total.note(sighting.stamp_s, away_m, bool(tracks.confirmed[row]))
-        for identity in [k for k, t in self._sums.items() if sighting.stamp_s - t.seen_s > _OVER_S]:
+            self._add(total, detections, which, away_m, share)
+            total.note(detections.stamp_s, away_m, bool(tracks.confirmed[row]))
+        for identity in [
+            k for k, t in self._sums.items() if detections.stamp_s - t.seen_s > _OVER_S
+        ]:
             self._ended = self._with(self._ended, self._sums.pop(identity))
         estimate = self._ended
         for total in self._sums.values():
@@ -140,23 +143,28 @@ class DisparityOffset:
         self._variance = float(covariance[0, 0])
 
     def _add(
-        self, total: _Sum, sighting: Sighting, which: int, away_m: float, share: float
+        self,
+        total: _NormalEquations,
+        detections: Detections,
+        which: int,
+        away_m: float,
+        share: float,
     ) -> None:
         """Add a detection to its track's sum, in the dead-reckoned frame."""
-        point = sighting.points_vehicle_m[which]
+        point = detections.points_vehicle_m[which]
         c, s = np.cos(self._pose[2]), np.sin(self._pose[2])
         turn = np.array([[c, -s], [s, c]])
-        step = turn @ self.per_px(point[np.newaxis])[0]
+        step = turn @ self.shift_per_px(point[np.newaxis])[0]
         travel = self._pose[:2] - total.start_m
         design = np.column_stack([np.eye(2), -step, -travel])
         place = self._pose[:2] + turn @ point - step * self.value_px
         # dead reckoning turns away: what it says lies aside of the ray errs with age and distance
         aside = np.array([-step[1], step[0]]) / np.hypot(*step)
-        turned = self._config.yaw_rate_sd_radps * (sighting.stamp_s - total.born_s) * away_m
-        spread = turn @ sighting.covariance_m2[which] @ turn.T
+        turned = self._config.yaw_rate_sd_radps * (detections.stamp_s - total.born_s) * away_m
+        spread = turn @ detections.covariance_m2[which] @ turn.T
         total.add(place, design, spread + turned**2 * np.outer(aside, aside), share)
 
-    def _with(self, known: tuple[Floats, Floats], total: _Sum) -> tuple[Floats, Floats]:
+    def _with(self, known: tuple[Floats, Floats], total: _NormalEquations) -> tuple[Floats, Floats]:
         """What is known and what one track says, unless it says nothing or contradicts."""
         if not total.confirmed or total.farthest_m - total.nearest_m < _LEAST_SPAN_M:
             return known

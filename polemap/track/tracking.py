@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from polemap.drivelog.detections import Detections
 from polemap.track.config import TrackingConfig
-from polemap.track.tracks import Motion, Sighting, Tracks, concatenate, with_changes
+from polemap.track.tracks import Motion, Tracks
 from polemap.vehicle.kalman import chi_square_quantile
 
 Floats = NDArray[np.float64]
@@ -38,7 +39,7 @@ _LATE_SHARE = 0.93  # of the free range within which a pole is expected
 
 
 class PoleTracker:
-    """Holds the tracks; `predict` moves them, `update` takes the detections of a moment."""
+    """Holds the tracks: `predict_tracks` by odometry, `correct_tracks` by detections."""
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
@@ -47,11 +48,11 @@ class PoleTracker:
         self._updated_s: float | None = None
         self.tracks = Tracks()
 
-    def clear(self) -> None:
+    def drop_tracks(self) -> None:
         """Forget all tracks; ids are not used again."""
         self.tracks = Tracks()
 
-    def predict(self, motion: Motion) -> None:
+    def predict_tracks(self, motion: Motion) -> None:
         """Move the tracks into the vehicle frame after `motion`, with the noise of odometry."""
         tracks, config = self.tracks, self._config
         c, s = np.cos(motion.turn_rad), np.sin(motion.turn_rad)
@@ -67,56 +68,55 @@ class PoleTracker:
         noise[:, 0, 0] += var_along
         noise += (config.drift_sd_mps * dt) ** 2 * np.eye(2)
         covariance = later_from_earlier @ tracks.covariance_m2 @ later_from_earlier.T + noise
-        self.tracks = with_changes(
-            tracks,
+        self.tracks = tracks.with_columns(
             points_vehicle_m=points,
             covariance_m2=covariance,
-            per_offset_m=tracks.per_offset_m @ later_from_earlier.T,
+            shift_per_px_m=tracks.shift_per_px_m @ later_from_earlier.T,
         )
 
-    def shift(self, change: float) -> None:
+    def shift_tracks(self, change: float) -> None:
         """Move all tracks: the error that they share is known to differ by `change` from before."""
-        points = self.tracks.points_vehicle_m + change * self.tracks.per_offset_m
-        self.tracks = with_changes(self.tracks, points_vehicle_m=points)
+        points = self.tracks.points_vehicle_m + change * self.tracks.shift_per_px_m
+        self.tracks = self.tracks.with_columns(points_vehicle_m=points)
 
-    def update(self, sighting: Sighting) -> Ints:
+    def correct_tracks(self, detections: Detections) -> Ints:
         """Correct, bear, confirm and delete; returns each detection's track id, -1 for none."""
         config = self._config
-        dt = sighting.stamp_s - self._updated_s if self._updated_s is not None else np.inf
-        self._updated_s = sighting.stamp_s
+        dt = detections.stamp_s - self._updated_s if self._updated_s is not None else np.inf
+        self._updated_s = detections.stamp_s
         pace = min(max(dt / config.period_s, 0.0), 1.0)  # more frames are not more evidence
-        pairs = self._assign(sighting)
-        tracks = self._correct(pairs, sighting, dt, pace)
-        tracks = self._miss(tracks, sighting, pace)
-        ids = np.full(len(sighting.probability), -1, dtype=np.int64)
+        pairs = self._assign(detections)
+        tracks = self._correct(pairs, detections, dt, pace)
+        tracks = self._miss(tracks, detections, pace)
+        ids = np.full(len(detections.probability), -1, dtype=np.int64)
         ids[pairs[1]] = tracks.ids[pairs[0]]
         free = ids < 0
-        born = np.flatnonzero(free & (sighting.probability >= config.birth_probability))
-        fresh = self._bear(born, sighting)
+        born = np.flatnonzero(free & (detections.probability >= config.birth_probability))
+        fresh = self._bear(born, detections)
         ids[born] = fresh.ids
-        tracks = concatenate(tracks, fresh)
+        tracks = Tracks.concatenate([tracks, fresh])
         existence = tracks.existence
         sure = (existence >= config.confirm_existence) & (tracks.hits >= config.confirm_hits)
         confirmed = sure | (tracks.confirmed & (existence >= 0.5))
-        tracks = with_changes(tracks, confirmed=confirmed)
+        tracks = tracks.with_columns(confirmed=confirmed)
         alive = existence >= config.delete_existence
-        alive &= sighting.stamp_s - tracks.seen_s <= config.forget_after_s
+        alive &= detections.stamp_s - tracks.seen_s <= config.forget_after_s
         self.tracks = tracks.take(alive)
         return ids
 
-    def _assign(self, sighting: Sighting) -> tuple[Ints, Ints]:
+    def _assign(self, detections: Detections) -> tuple[Ints, Ints]:
         """Rows of tracks and of detections that belong together."""
         tracks, config = self.tracks, self._config
-        usable = np.flatnonzero(sighting.probability >= config.probability_min)
+        usable = np.flatnonzero(detections.probability >= config.probability_min)
         if not len(tracks) or not len(usable):
             return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-        offset = tracks.points_vehicle_m[:, None] - sighting.points_vehicle_m[usable]
-        spread = tracks.covariance_m2[:, None] + sighting.covariance_m2[usable]
+        offset = tracks.points_vehicle_m[:, None] - detections.points_vehicle_m[usable]
+        spread = tracks.covariance_m2[:, None] + detections.covariance_m2[usable]
         x, y = offset[..., 0], offset[..., 1]
         xx, xy, yy = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
         determinant = xx * yy - xy * xy
         distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
-        apart = tracks.width_m[:, None] - sighting.width_m[usable]
+        apart = tracks.width_m[:, None] - detections.width_m[usable]
         width_var = tracks.width_var_m2[:, None] + config.width_sd_m**2
         width_cost = np.where(np.isnan(apart), 0.0, np.minimum(apart**2 / width_var, 9.0))
         log_det = np.log(determinant)
@@ -125,6 +125,7 @@ class PoleTracker:
         cost = cost - 0.5 * tracks.log_odds[:, None]
         cost = cost - cost.min() + 1.0
         allowed = (distance <= self._gate) & (np.hypot(x, y) <= config.gate_max_m)
+        allowed &= tracks.kind[:, None] == detections.kind[usable]
         # an empty column a track: it may go without
         square = np.full((len(tracks), len(usable) + len(tracks)), _FORBIDDEN)
         square[:, : len(usable)] = np.where(allowed, cost, _FORBIDDEN)
@@ -134,16 +135,16 @@ class PoleTracker:
         return one[real].astype(np.int64), usable[two[real]]
 
     def _correct(
-        self, pairs: tuple[Ints, Ints], sighting: Sighting, dt: float, pace: float
+        self, pairs: tuple[Ints, Ints], detections: Detections, dt: float, pace: float
     ) -> Tracks:
         tracks, config = self.tracks, self._config
         one, two = pairs
         r = np.exp(-max(dt, 1e-3) / config.error_time_s) if config.error_time_s > 0 else 0.0
-        measured = sighting.covariance_m2[two] * (1.0 + r) / (1.0 - r)
+        measured = detections.covariance_m2[two] * (1.0 + r) / (1.0 - r)
         prior = tracks.covariance_m2[one]
         # both are symmetric, so the transpose of the solution is the gain
         gain = np.swapaxes(np.linalg.solve(prior + measured, prior), 1, 2)
-        innovation = sighting.points_vehicle_m[two] - tracks.points_vehicle_m[one]
+        innovation = detections.points_vehicle_m[two] - tracks.points_vehicle_m[one]
         keep = np.eye(2) - gain
         points = tracks.points_vehicle_m.copy()
         covariance = tracks.covariance_m2.copy()
@@ -151,10 +152,10 @@ class PoleTracker:
         covariance[one] = keep @ prior @ np.swapaxes(keep, 1, 2) + gain @ measured @ np.swapaxes(
             gain, 1, 2
         )
-        shared = tracks.per_offset_m.copy()
-        shared[one] += np.einsum("nij,nj->ni", gain, _shared(sighting)[two] - shared[one])
+        shared = tracks.shift_per_px_m.copy()
+        shared[one] += np.einsum("nij,nj->ni", gain, detections.shift_per_px_m[two] - shared[one])
         width, width_var = tracks.width_m.copy(), tracks.width_var_m2.copy()
-        seen = sighting.width_m[two]
+        seen = detections.width_m[two]
         share = width_var[one] / (width_var[one] + config.width_sd_m**2)
         known = np.isfinite(seen)
         share = np.where(known, share, 0.0)
@@ -162,19 +163,18 @@ class PoleTracker:
         width_var[one] *= 1.0 - share
         width_var[one] = np.maximum(width_var[one], (0.3 * config.width_sd_m) ** 2)
         height = tracks.height_m.copy()
-        tall = sighting.height_m[two]
+        tall = detections.height_m[two]
         part = 1.0 / np.minimum(tracks.hits[one] + 1.0, _HEIGHT_MEMORY)
         mixed = np.where(np.isnan(height[one]), tall, height[one] + part * (tall - height[one]))
         height[one] = np.where(np.isnan(tall), height[one], mixed)
         log_odds = tracks.log_odds.copy()
-        log_odds[one] += pace * self._evidence(sighting.probability[two])
+        log_odds[one] += pace * self._evidence(detections.probability[two])
         hits, seen_s = tracks.hits.copy(), tracks.seen_s.copy()
         hits[one] += 1
-        seen_s[one] = sighting.stamp_s
+        seen_s[one] = detections.stamp_s
         detection = np.full(len(tracks), -1, dtype=np.int64)
         detection[one] = two
-        return with_changes(
-            tracks,
+        return tracks.with_columns(
             points_vehicle_m=points,
             covariance_m2=covariance,
             width_m=width,
@@ -184,12 +184,12 @@ class PoleTracker:
             hits=hits,
             seen_s=seen_s,
             detection=detection,
-            per_offset_m=shared,
+            shift_per_px_m=shared,
         )
 
-    def _miss(self, tracks: Tracks, sighting: Sighting, pace: float) -> Tracks:
+    def _miss(self, tracks: Tracks, detections: Detections, pace: float) -> Tracks:
         """Less belief in what should have been seen and was not."""
-        config, view = self._config, sighting.view
+        config, view = self._config, detections.view
         missed = tracks.detection < 0
         if view is not None:
             # stretched outward, so that a pole at the very end of the view is not expected
@@ -197,41 +197,36 @@ class PoleTracker:
             missed &= view.contains(away + view.origin_vehicle_m)
         step = pace * np.log(1.0 - config.detection_probability)
         log_odds = np.maximum(tracks.log_odds + np.where(missed, step, 0.0), -_LOG_ODDS_LIMIT)
-        return with_changes(tracks, log_odds=log_odds)
+        return tracks.with_columns(log_odds=log_odds)
 
     def _evidence(self, probability: Floats) -> Floats:
         """Log of how much likelier such a look is at a pole than at another thing."""
         share = np.array(self._config.pole_share)
         return np.clip(_logit(probability) - _logit(share), *_HIT_LIMIT)
 
-    def _bear(self, rows: Ints, sighting: Sighting) -> Tracks:
+    def _bear(self, rows: Ints, detections: Detections) -> Tracks:
         count = len(rows)
         ids = np.arange(self._next_id, self._next_id + count, dtype=np.int64)
         self._next_id += count
-        width = sighting.width_m[rows]
+        width = detections.width_m[rows]
         known = np.isfinite(width)
-        stamps = np.full(count, sighting.stamp_s)
+        stamps = np.full(count, detections.stamp_s)
         return Tracks(
             ids=ids,
-            points_vehicle_m=sighting.points_vehicle_m[rows],
-            covariance_m2=sighting.covariance_m2[rows],
+            kind=detections.kind[rows],
+            points_vehicle_m=detections.points_vehicle_m[rows],
+            covariance_m2=detections.covariance_m2[rows],
             width_m=np.where(known, width, 0.2),
             width_var_m2=np.where(known, self._config.width_sd_m**2, 0.3**2),
-            height_m=sighting.height_m[rows],
-            log_odds=self._evidence(sighting.probability[rows]),
+            height_m=detections.height_m[rows],
+            log_odds=self._evidence(detections.probability[rows]),
             hits=np.ones(count, dtype=np.int64),
             born_s=stamps,
             seen_s=stamps,
             confirmed=np.zeros(count, dtype=bool),
             detection=rows.astype(np.int64),
-            per_offset_m=_shared(sighting)[rows],
+            shift_per_px_m=detections.shift_per_px_m[rows],
         )
-
-
-def _shared(sighting: Sighting) -> Floats:
-    if sighting.per_offset_m is None:
-        return np.zeros_like(sighting.points_vehicle_m)
-    return sighting.per_offset_m
 
 
 def _logit(probability: Floats) -> Floats:

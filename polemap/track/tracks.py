@@ -1,4 +1,4 @@
-"""What the tracker takes and holds: sightings of a moment, tracks, and the motion between."""
+"""What the tracker holds: tracks, and the motion of the vehicle between two moments."""
 
 from __future__ import annotations
 
@@ -7,34 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.samples import VisibleRegion
+from polemap.drivelog.columns import Columns
+from polemap.drivelog.detections import Detections
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """What a detector saw at one moment, vehicle frame; one pole a row.
-
-    Attributes:
-        points_vehicle_m: `(n, 2)`.
-        covariance_m2: `(n, 2, 2)`.
-        width_m, height_m: `(n,)`, NaN where unknown.
-        probability: `(n,)` of being a pole.
-        view: where poles could have been seen, None if the detector does not say.
-        per_offset_m: `(n, 2)` how the points move per unit of an error that all of them share;
-            None where there is no such error. The covariance does not hold it.
-    """
-
-    stamp_s: float
-    points_vehicle_m: Floats
-    covariance_m2: Floats
-    width_m: Floats
-    height_m: Floats
-    probability: Floats
-    view: VisibleRegion | None
-    per_offset_m: Floats | None = None
 
 
 def _none() -> Floats:
@@ -42,11 +19,12 @@ def _none() -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Tracks:
+class Tracks(Columns):
     """All tracks at one moment, vehicle frame; one a row.
 
     Attributes:
         ids: `(n,)`, never used twice.
+        kind: `(n,)` a `LandmarkKind`; a track takes detections of its own kind only.
         points_vehicle_m, covariance_m2: `(n, 2)`, `(n, 2, 2)`.
         width_m, width_var_m2: `(n,)`.
         height_m: `(n,)` running mean of the visible height, NaN where unknown.
@@ -55,10 +33,11 @@ class Tracks:
         born_s, seen_s: first and last stamp at which it was seen.
         confirmed: `(n,)`.
         detection: `(n,)` row of the detection that it took in the last update, -1 if none.
-        per_offset_m: `(n, 2)` how the point moves per unit of the error that all detections share.
+        shift_per_px_m: `(n, 2)` how the point moves when all disparities grow by one pixel.
     """
 
     ids: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    kind: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, dtype=np.int8))
     points_vehicle_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
     covariance_m2: Floats = field(default_factory=lambda: np.empty((0, 2, 2)))
     width_m: Floats = field(default_factory=_none)
@@ -70,24 +49,17 @@ class Tracks:
     seen_s: Floats = field(default_factory=_none)
     confirmed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     detection: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    per_offset_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
-
-    def __len__(self) -> int:
-        return len(self.ids)
+    shift_per_px_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def existence(self) -> Floats:
         """`(n,)` probability that it is a pole."""
         return np.asarray(1.0 / (1.0 + np.exp(-self.log_odds)))
 
-    def take(self, rows: Ints | NDArray[np.bool_]) -> Tracks:
-        """The chosen rows."""
-        return Tracks(*(getattr(self, name)[rows] for name in self.__slots__))
-
     def with_shared(self, variance: float) -> Tracks:
         """The same tracks, their covariance widened by what the shared error may be."""
-        shared = self.per_offset_m[:, :, None] * self.per_offset_m[:, None, :]
-        return with_changes(self, covariance_m2=self.covariance_m2 + variance * shared)
+        shared = self.shift_per_px_m[:, :, None] * self.shift_per_px_m[:, None, :]
+        return self.with_columns(covariance_m2=self.covariance_m2 + variance * shared)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +73,50 @@ class Motion:
     distance_m: float
 
 
-def with_changes(tracks: Tracks, **changes: object) -> Tracks:
-    """The tracks with some columns in the place of theirs."""
-    values = {name: changes.get(name, getattr(tracks, name)) for name in tracks.__slots__}
-    return Tracks(**values)  # type: ignore[arg-type]
+def detections_of_tracks(tracks: Tracks, detections: Detections, shared_sd_px: float) -> Detections:
+    """This moment's detections that the tracks took, with the tracks' identity, size and existence.
+
+    Args:
+        tracks: after their correction with the detections.
+        detections: of this moment.
+        shared_sd_px: standard deviation of the disparity error that all of them share.
+    """
+    taken = tracks.take(tracks.detection >= 0)
+    measured = detections.take(taken.detection)
+    shared = measured.shift_per_px_m
+    return _as_detections(
+        taken,
+        detections,
+        measured.points_vehicle_m,
+        measured.covariance_m2 + shared_sd_px**2 * (shared[:, :, None] * shared[:, None, :]),
+    )
 
 
-def concatenate(one: Tracks, two: Tracks) -> Tracks:
-    """The rows of one, then those of the other."""
-    return Tracks(
-        *(np.concatenate([getattr(one, name), getattr(two, name)]) for name in one.__slots__)
+def tracks_in_view(tracks: Tracks, detections: Detections) -> Detections:
+    """The tracks that were detected at this moment or stand in view, as detections."""
+    shown = tracks.detection >= 0
+    if detections.view is not None:
+        # a track that was just not detected is still known, but only what is in view is a scan
+        shown |= detections.view.contains(tracks.points_vehicle_m)
+    shown_tracks = tracks.take(shown)
+    return _as_detections(
+        shown_tracks, detections, shown_tracks.points_vehicle_m, shown_tracks.covariance_m2
+    )
+
+
+def _as_detections(
+    tracks: Tracks, moment: Detections, points_vehicle_m: Floats, covariance_m2: Floats
+) -> Detections:
+    return Detections(
+        stamp_s=moment.stamp_s,
+        arrival_s=moment.arrival_s,
+        view=moment.view,
+        kind=tracks.kind,
+        points_vehicle_m=points_vehicle_m,
+        covariance_m2=covariance_m2,
+        width_m=tracks.width_m,
+        height_m=tracks.height_m,
+        probability=tracks.existence,
+        track_id=tracks.ids,
+        shift_per_px_m=np.zeros((len(tracks), 2)),
     )

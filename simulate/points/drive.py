@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import PoleScan, Sample
+from polemap.drivelog.samples import Sample
 from polemap.map.landmark_map import PoleMap
 from polemap.simulate import sensors
 from polemap.simulate.config import DetectorConfig, GnssConfig, OdometryConfig, ReferenceConfig
@@ -112,7 +113,7 @@ class PointDrive:
         return tuple(replace(self.drive, reference=None).samples())
 
     @property
-    def scans(self) -> tuple[PoleScan, ...]:
+    def scans(self) -> tuple[Detections, ...]:
         """The pole scans by stamp."""
         return self.drive.scans
 
@@ -150,7 +151,7 @@ def sensed(
     """What the scenario's sensors record of a motion that begins at 0, on the drive's clock."""
     origin, begin = np.zeros(2), scenario.start_s
     odometry = gnss = reference = None
-    scans: tuple[PoleScan, ...] = ()
+    scans: tuple[Detections, ...] = ()
     if scenario.odometry is not None:
         odometry = sensors.odometry(motion, scenario.odometry, rng)
         odometry = replace(
@@ -159,7 +160,7 @@ def sensed(
     if scenario.gnss is not None:
         gnss = sensors.gnss(motion, origin, scenario.gnss, rng, _OPEN_SKY)
         first, last = scenario.gnss_outage_s
-        gnss = gnss.rows((gnss.stamp_s < first) | (gnss.stamp_s > last))
+        gnss = gnss.take((gnss.stamp_s < first) | (gnss.stamp_s > last))
         gnss = replace(gnss, stamp_s=gnss.stamp_s + begin, arrival_s=gnss.arrival_s + begin)
     if scenario.detector is not None:
         detector = PoleDetector(

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.drive import Drive, GnssStream, Lap, OdometryStream, ReferenceStream
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.drivelog.writers.folder import folder_writer
 from polemap.stereo.rig import Mounting, StereoRig
 
@@ -34,17 +34,15 @@ def streams(n: int = 40) -> tuple[OdometryStream, GnssStream, ReferenceStream]:
     )
 
 
-def scan(stamp_s: float, points: list[tuple[float, float]]) -> PoleScan:
+def scan(stamp_s: float, points: list[tuple[float, float]]) -> Detections:
     n = len(points)
-    return PoleScan(
+    return pole_detections(
         stamp_s,
         stamp_s + 0.05,
         np.array(points, dtype=np.float64).reshape(-1, 2),
         np.tile(np.array([[0.04, 0.01], [0.01, 0.02]]), (n, 1, 1)),
-        np.full(n, 0.25),
-        np.full(n, -1, dtype=np.int64),
-        np.ones(n),
-        VIEW,
+        width_m=np.full(n, 0.25),
+        view=VIEW,
     )
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
+from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.drivelog.writers.folder import folder_writer, write_drive
 from tests.drivelog.drives import RIG, VIEW, picture, streams, write_small
 
@@ -58,9 +59,9 @@ def test_samples_come_in_order_of_arrival(folder: Path) -> None:
     arrivals = [getattr(sample, "arrival_s", sample.stamp_s) for sample in samples]
     assert arrivals == sorted(arrivals)
     counts = {
-        kind: sum(isinstance(s, kind) for s in samples) for kind in (OdometrySample, PoleScan)
+        kind: sum(isinstance(s, kind) for s in samples) for kind in (OdometrySample, Detections)
     }
-    assert counts == {OdometrySample: 40, PoleScan: 2}
+    assert counts == {OdometrySample: 40, Detections: 2}
     frames = [sample for sample in samples if isinstance(sample, StereoFrame)]
     assert [frame.index for frame in frames] == [0, 1, 2]
 

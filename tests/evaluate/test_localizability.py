@@ -9,7 +9,7 @@ import pytest
 
 from polemap.detect.config import DetectionConfig
 from polemap.detect.visibility import camera_sector
-from polemap.drivelog.samples import PoleScan, VisibleRegion
+from polemap.drivelog.detections import VisibleRegion, pole_detections
 from polemap.evaluation.localizability import (
     SensorModel,
     camera_sensor,
@@ -123,9 +123,15 @@ def test_the_model_of_stated_errors_is_what_was_stated() -> None:
         points = np.column_stack([rng.uniform(4.0, 30.0, 8), rng.uniform(-6.0, 6.0, 8)])
         n = len(points)
         scans.append(
-            PoleScan(0.1 * k, 0.1 * k, points, true.covariance(points), np.full(n, 0.2),
-                     np.full(n, -1), np.ones(n), VIEW)
-        )  # fmt: skip
+            pole_detections(
+                0.1 * k,
+                0.1 * k,
+                points,
+                true.covariance(points),
+                width_m=np.full(n, 0.2),
+                view=VIEW,
+            )
+        )
     found = scans_sensor(tuple(scans), 0.6)
     assert found is not None
     for name in ("along_m", "along_per_m2", "across_m", "across_rad"):

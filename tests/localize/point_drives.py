@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import GnssFix, OdometrySample, Sample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
@@ -40,7 +41,7 @@ def play(particle_filter: ParticleFilter, samples: Iterable[Sample]) -> list[PfE
             particle_filter.add_odometry(sample)
         elif isinstance(sample, GnssFix):
             particle_filter.add_fix(sample)
-        elif isinstance(sample, PoleScan):
+        elif isinstance(sample, Detections):
             estimate = particle_filter.process_scan(sample)
             if estimate is not None:
                 estimates.append(estimate)

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, ReferencePose, StereoFrame
+from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose, StereoFrame
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.output_filter.config import OutputConfig
@@ -273,7 +274,7 @@ def _after(street):
 def test_a_known_place_is_believed_and_found_at_once(street):
     localizer = make(street)
     samples = [s for s in inputs(street) if not isinstance(s, GnssFix)]
-    first = next(s for s in samples if isinstance(s, PoleScan))
+    first = next(s for s in samples if isinstance(s, Detections))
     true = street.motion.at(np.array([first.stamp_s]))[0, :3]
     with pytest.raises(InputError, match=r"at 0\.0 s cannot be used \(not_finite"):
         localizer.start_at(0.0, np.full(3, np.nan), np.eye(3))

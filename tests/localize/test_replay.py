@@ -78,7 +78,7 @@ def test_the_output_knows_nothing_of_what_has_not_arrived(street, run):
     """What comes after a moment does not change the output up to it."""
     cut = 12.0
     odometry = street.drive.odometry
-    drive = replace(street.drive, odometry=odometry.rows(odometry.arrival_s <= cut))
+    drive = replace(street.drive, odometry=odometry.take(odometry.arrival_s <= cut))
     scans = [scan for scan in street.scans if scan.arrival_s <= cut]
     part = replay(drive, street.pole_map, scans, CONFIG, seed=5)
     rows = min(np.searchsorted(run.kf.stamp_s, cut - 0.05), len(part.kf.stamp_s))

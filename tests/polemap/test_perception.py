@@ -12,10 +12,11 @@ import pytest
 from polemap.config import PolemapConfig
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import ground_from_mounting
+from polemap.drivelog.detections import Detections, pole_detections
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import OdometrySample, PoleScan, StereoFrame
+from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.evaluation.detections import evidence, match, record, score_frames, score_tracks
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
@@ -42,7 +43,7 @@ class Given:
         return next(self._maps)
 
 
-def _approach(tracking: TrackingConfig, frames: int = 8) -> tuple[list[PoleScan], list[float]]:
+def _approach(tracking: TrackingConfig, frames: int = 8) -> tuple[list[Detections], list[float]]:
     """Scans of an approach to `POLES` at 10 m/s and 10 Hz, and the distance driven at each."""
     rng = np.random.default_rng(11)
     driven = [1.0 * step for step in range(frames)]
@@ -70,9 +71,9 @@ def test_scans_hold_the_poles_with_lasting_ids(output: str) -> None:
         u, _, d = RIG.project(np.column_stack([truth - (x, 0.0), np.zeros(len(truth))])).T
         near = np.flatnonzero((d > RIG.focal_px * RIG.baseline_m / 16.0) & (u > 60.0) & (u < 580.0))
         assert set(near) <= set(one)
-        assert (scan.existence[two] > 0.8).all()
+        assert (scan.probability[two] > 0.8).all()
         for pole, row in zip(one, two, strict=True):
-            ids.setdefault(int(pole), set()).add(int(scan.ids[row]))
+            ids.setdefault(int(pole), set()).add(int(scan.track_id[row]))
         assert scan.arrival_s == pytest.approx(scan.stamp_s + 0.08)
         assert scan.view is not None
         assert np.linalg.eigvalsh(scan.covariance_m2).min() > 0
@@ -93,17 +94,14 @@ def test_poles_from_elsewhere_get_ids() -> None:
     n = 2
     for step in range(4):
         perception.record_odometry(OdometrySample(0.1 * step, 0.1 * step, 5.0, 0.0))
-        scan = PoleScan(
+        scan = pole_detections(
             0.1 * step,
             0.1 * step,
             np.array([[10.0 - 0.5 * step, 2.0], [12.0 - 0.5 * step, -2.0]]),
             np.tile(0.01 * np.eye(2), (n, 1, 1)),
-            np.full(n, np.nan),
-            np.full(n, -1),
-            np.ones(n),
         )
         tracked = perception.track_scan(scan)
-    assert sorted(tracked.ids.tolist()) == [0, 1]
+    assert sorted(tracked.track_id.tolist()) == [0, 1]
     assert np.allclose(
         np.sort(tracked.points_vehicle_m, axis=0), np.sort(scan.points_vehicle_m, axis=0)
     )

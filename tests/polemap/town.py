@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.drivelog.streams import ReferenceStream
 from polemap.simulate.config import DetectorConfig, ReferenceConfig
 from polemap.simulate.points.drive import PointScenario, simulate_points
@@ -32,7 +32,7 @@ DETECTOR = DetectorConfig(
 class DriveThrough:
     """What one drive recorded, and where the car really was."""
 
-    scans: list[PoleScan]
+    scans: list[Detections]
     reference: ReferenceStream
     true_poses: Floats
 

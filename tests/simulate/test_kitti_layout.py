@@ -102,6 +102,6 @@ def test_what_the_layout_cannot_hold_is_refused(
     with pytest.raises(ConfigError, match="8-bit pictures"):
         write_kitti_odometry(drive, tmp_path / "kitti")
     assert drive.reference is not None
-    late = replace(drive, reference=drive.reference.rows(drive.reference.stamp_s > 5))
+    late = replace(drive, reference=drive.reference.take(drive.reference.stamp_s > 5))
     with pytest.raises(ConfigError, match="does not cover every picture"):
         write_kitti_odometry(late, tmp_path / "kitti")

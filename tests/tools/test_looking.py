@@ -9,17 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.drive import open_drive
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.tools.looking import tracked
 from polemap.tools.scan_cache import RawScans, drive_fingerprint, raw_scans, read_scans, write_scans
 
 
-def same(one: PoleScan, two: PoleScan) -> None:
+def same(one: Detections, two: Detections) -> None:
     assert (one.stamp_s, one.arrival_s) == (two.stamp_s, two.arrival_s)
-    for name in ("points_vehicle_m", "covariance_m2", "width_m", "ids", "existence", "height_m"):
+    for name in (
+        "points_vehicle_m",
+        "covariance_m2",
+        "width_m",
+        "track_id",
+        "probability",
+        "height_m",
+    ):
         assert np.array_equal(getattr(one, name), getattr(two, name), equal_nan=True), name
     assert one.view is not None
     assert two.view is not None
@@ -80,10 +87,10 @@ def test_scans_survive_the_cache(tmp_path: Path) -> None:
             free = rng.uniform(5, 25, 4 + number)
             view = VisibleRegion(np.array([1.9, 0.1]), -0.6, 0.5, 3.0, free)
         scans.append(
-            PoleScan(
+            pole_detections(
                 0.1 * number, 0.1 * number + 0.05, rng.normal(size=(count, 2)),
-                rng.normal(size=(count, 2, 2)), rng.random(count), np.full(count, -1),
-                rng.random(count), view, rng.random(count),
+                rng.normal(size=(count, 2, 2)), width_m=rng.random(count),
+                probability=rng.random(count), view=view, height_m=rng.random(count),
             )
         )  # fmt: skip
     path = tmp_path / "scans.npz"
@@ -95,7 +102,7 @@ def test_scans_survive_the_cache(tmp_path: Path) -> None:
     assert np.array_equal(back.spent_s, spent_s)
     for one, two in zip(scans, back.scans, strict=True):
         assert (one.stamp_s, one.arrival_s) == (two.stamp_s, two.arrival_s)
-        for name in ("points_vehicle_m", "covariance_m2", "width_m", "ids", "existence"):
+        for name in ("points_vehicle_m", "covariance_m2", "width_m", "track_id", "probability"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
         assert (one.view is None) == (two.view is None)
         if one.view is not None and two.view is not None:

@@ -15,8 +15,8 @@ import numpy as np
 
 from polemap.config import PolemapConfig
 from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.samples import PoleScan
 from polemap.evaluation.run_metrics import run_metrics
 from polemap.evaluation.runs.io import Run
 from polemap.localize.replay import replay
@@ -108,7 +108,7 @@ def _map(path: str, source: Source) -> PoleMap:
 @lru_cache(maxsize=2)
 def _tracked(
     source: Source, polemap: str, looks: tuple[str, ...], every: int
-) -> tuple[PoleScan, ...]:
+) -> tuple[Detections, ...]:
     drive = source.open()
     raw = read_looks(looks)[0] if looks else drive.scans
     return tracked(drive, raw, PolemapConfig.model_validate_json(polemap), every=every).scans

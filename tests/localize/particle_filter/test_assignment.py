@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.samples import PoleScan, VisibleRegion
 from polemap.localize.particle_filter import assignment as association
 from polemap.localize.particle_filter.assignment import assign, pole_log_likelihood
 from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
@@ -35,17 +35,17 @@ def pole_map(points: np.ndarray, rng: np.random.Generator) -> PoleMap:
     )
 
 
-def scan_of(points: np.ndarray, rng: np.random.Generator) -> PoleScan:
+def scan_of(points: np.ndarray, rng: np.random.Generator) -> Detections:
     n = len(points)
     half = rng.normal(0.0, 0.2, (n, 2, 2))
-    return PoleScan(
+    return pole_detections(
         stamp_s=0.0,
         arrival_s=0.0,
         points_vehicle_m=points,
         covariance_m2=half @ np.swapaxes(half, 1, 2) + 0.01 * np.eye(2),
         width_m=np.where(rng.random(n) < 0.2, np.nan, rng.uniform(0.1, 0.5, n)),
-        ids=np.arange(n),
-        existence=rng.uniform(0.2, 1.0, n),
+        track_id=np.arange(n),
+        probability=rng.uniform(0.2, 1.0, n),
     )
 
 
@@ -193,14 +193,12 @@ def test_one_pole_and_one_landmark_by_hand(backend: str) -> None:
     world = pole_map(np.array([[10.0, 0.0]]), rng)
     object.__setattr__(world, "width_m", np.array([0.3]))
     object.__setattr__(world, "existence", np.array([1.0]))
-    scan = PoleScan(
+    scan = pole_detections(
         0.0,
         0.0,
         np.array([[10.2, 0.1]]),
         np.array([[[0.04, 0.0], [0.0, 0.01]]]),
-        np.array([0.35]),
-        np.array([1]),
-        np.array([1.0]),
+        width_m=np.array([0.35]),
     )
     model = PoleModel(
         beta_p=0.5,
@@ -221,9 +219,7 @@ def test_one_pole_and_one_landmark_by_hand(backend: str) -> None:
     assert found.matched[0] == 1
     # far away the landmark is missed and the pole is clutter, at a quarter of the squared range
     away = np.array([[0.0, 0.0, 0.0]])
-    empty = PoleScan(
-        0, 0, np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0, int), np.empty(0)
-    )
+    empty = pole_detections(0.0, 0.0, np.empty((0, 2)), np.empty((0, 2, 2)))
     missed = pole_log_likelihood(
         away, empty, Landmarks.of(world, 0.6), model, view=view, backend=backend
     )

@@ -11,8 +11,9 @@ import pytest
 
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import open_drive
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan, Sample
+from polemap.drivelog.samples import GnssFix, OdometrySample, Sample
 from polemap.localize.config import KldConfig, LocalizeConfig, OdometryConfig
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.particle_filter.estimate import PfEstimate
@@ -64,7 +65,7 @@ def test_late_scans_are_placed_exactly_and_older_ones_counted() -> None:
 
     def delayed(delay_s: float) -> list[PfEstimate]:
         samples = [
-            replace(s, arrival_s=s.stamp_s + delay_s) if isinstance(s, PoleScan) else s
+            replace(s, arrival_s=s.stamp_s + delay_s) if isinstance(s, Detections) else s
             for s in drive.samples
         ]
         samples.sort(key=lambda s: (s.arrival_s, s.stamp_s))
@@ -85,7 +86,7 @@ def test_late_scans_are_placed_exactly_and_older_ones_counted() -> None:
         drive.pole_map, LocalizeConfig(), 2.7, np.random.default_rng(0)
     )
     particle_filter.set_pose(3.0, start, np.eye(3) * 0.01)
-    scan = next(s for s in drive.samples if isinstance(s, PoleScan))
+    scan = next(s for s in drive.samples if isinstance(s, Detections))
     assert particle_filter.process_scan(scan) is None
     assert particle_filter.counts["scans_late"] == 1
 

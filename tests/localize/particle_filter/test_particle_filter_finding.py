@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polemap.drivelog.samples import OdometrySample, PoleScan
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import OdometrySample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
@@ -84,7 +85,7 @@ def test_starts_without_gnss_from_the_constellation_alone() -> None:
 def test_says_nothing_while_nothing_is_known() -> None:
     drive = simulate_points(replace(SHORT, duration_s=3.0), np.random.default_rng(0))
     blind = ParticleFilter(drive.pole_map, LocalizeConfig(), 2.7, np.random.default_rng(0))
-    scans = [s for s in drive.samples if isinstance(s, PoleScan)]
+    scans = [s for s in drive.samples if isinstance(s, Detections)]
     empty = replace(
         scans[0],
         points_vehicle_m=np.empty((0, 2)),

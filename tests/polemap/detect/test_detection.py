@@ -10,6 +10,7 @@ from polemap.detect.detection import FrameView, detect
 from polemap.detect.features import NAMES
 from polemap.detect.ground import fit_ground, ground_from_mounting
 from polemap.detect.refine import refine_disparity
+from polemap.drivelog.samples import StereoFrame
 from polemap.stereo.depth_edges import upright_maps
 from polemap.stereo.matching import DisparityPair
 from polemap.stereo.rig import Mounting, StereoRig
@@ -20,7 +21,7 @@ CONFIG = DetectionConfig()
 
 def see(things: list[Thing], noise_px: float = 0.1, seed: int = 1) -> FrameView:
     left, right, maps = street(things, np.random.default_rng(seed), noise_px)
-    return detect(left, right, maps, RIG, None, CONFIG)
+    return detect(StereoFrame(0.0, 0.0, 0, left, right), maps, RIG, None, CONFIG)
 
 
 def nearest(view: FrameView, thing: Thing) -> int:
@@ -99,7 +100,9 @@ def test_wall_kerb_and_floating_things_make_no_hypothesis() -> None:
 def test_empty_disparity_gives_no_hypotheses_and_an_open_view() -> None:
     empty = np.full((400, 640), np.nan, dtype=np.float32)
     image = np.zeros((400, 640), dtype=np.uint8)
-    view = detect(image, image, DisparityPair(empty, empty), RIG, None, CONFIG)
+    view = detect(
+        StereoFrame(0.0, 0.0, 0, image, image), DisparityPair(empty, empty), RIG, None, CONFIG
+    )
     assert len(view.detections) == 0
     assert view.detections.features.shape == (0, len(NAMES))
     assert view.region.contains(np.array([15.0, 0.0]))

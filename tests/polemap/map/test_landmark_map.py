@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from polemap.drivelog.detections import VisibleRegion
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.samples import VisibleRegion
 from polemap.map.landmark_map import PoleMap, join_maps
 from tests.polemap.map.test_map_io import LOCAL, make_map
 

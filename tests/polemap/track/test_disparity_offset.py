@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from polemap.drivelog.detections import pole_detections
 from polemap.stereo.rig import Mounting, StereoRig
 from polemap.track.config import TrackingConfig
 from polemap.track.disparity_offset import DisparityOffset
-from polemap.track.tracks import Motion, Sighting, Tracks
+from polemap.track.tracks import Motion, Tracks
 
 RIG = StereoRig(768, 480, 823.5, 383.5, 239.5, 0.30, Mounting(1.9, 0.15, 1.3, 0.0, 0.0, 0.0))
 FOCAL_BASELINE = RIG.focal_px * RIG.baseline_m
@@ -37,7 +38,7 @@ def drive(
         if frame:
             turn = 0.004
             said_m = STEP_M * (1.0 + scale)
-            offset.move(Motion(DT_S, said_m, 0.0, turn + turning_radps * DT_S, said_m))
+            offset.dead_reckon(Motion(DT_S, said_m, 0.0, turn + turning_radps * DT_S, said_m))
             pose = pose + np.array([STEP_M * np.cos(pose[2]), STEP_M * np.sin(pose[2]), turn])
         c, s = np.cos(pose[2]), np.sin(pose[2])
         rays = (poles - pose[:2]) @ np.array([[c, -s], [s, c]]) - ORIGIN
@@ -50,12 +51,13 @@ def drive(
         covariance[:, 0, 0] = (0.3 * away**2 / FOCAL_BASELINE) ** 2 + 1e-3
         covariance[:, 1, 1] = 0.05**2
         none = np.zeros(count)
-        sighting = Sighting(frame * DT_S, points, covariance, none, none, none, None)
+        detections = pole_detections(frame * DT_S, frame * DT_S, points, covariance)
         tracks = Tracks(
-            seen.astype(np.int64), points, covariance, none, none, none, none,
+            seen.astype(np.int64), detections.kind, points, covariance, none, none, none, none,
             np.ones(count, np.int64), none, none, np.ones(count, bool), np.arange(count),
+            np.zeros((count, 2)),
         )  # fmt: skip
-        offset.learn(sighting, tracks, DT_S if frame else np.inf)
+        offset.learn_from_tracks(detections, tracks, DT_S if frame else np.inf)
     return offset
 
 
@@ -102,4 +104,4 @@ def test_points_move_by_what_a_pixel_more_does() -> None:
     point = np.array([[18.0, 5.0]])
     offset.value_px = 1e-4
     moved = (offset.corrected(point) - point) / 1e-4
-    np.testing.assert_allclose(offset.per_px(point), moved, rtol=1e-4)
+    np.testing.assert_allclose(offset.shift_per_px(point), moved, rtol=1e-4)

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from polemap.drivelog.samples import VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.track.config import TrackingConfig
 from polemap.track.tracking import PoleTracker
-from polemap.track.tracks import Motion, Sighting
+from polemap.track.tracks import Motion
 from polemap.vehicle.pose import Pose2D, compose, inverse_transform_points
 
 CONFIG = TrackingConfig()
@@ -23,24 +23,24 @@ def view_to(range_m: float) -> VisibleRegion:
     return VisibleRegion(np.zeros(2), -0.8, 0.8, 2.0, np.full(16, range_m))
 
 
-def sighting(
+def detected(
     stamp_s: float,
     points: Floats,
     sd_m: float = 0.1,
     probability: float = 0.95,
     view: VisibleRegion | None = None,
     width_m: float = 0.2,
-) -> Sighting:
+) -> Detections:
     points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     n = len(points)
-    return Sighting(
+    return pole_detections(
+        stamp_s,
         stamp_s,
         points,
         np.tile(sd_m**2 * np.eye(2), (n, 1, 1)),
-        np.full(n, width_m),
-        np.full(n, np.nan),
-        np.full(n, probability),
-        view,
+        width_m=np.full(n, width_m),
+        probability=np.full(n, probability),
+        view=view,
     )
 
 
@@ -77,10 +77,17 @@ def drive_by(rate_hz: float, seed: int, error_time_s: float) -> Passage:
             + sd[:, 1:, None] ** 2 * across[:, :, None] * across[:, None, :]
         )
         n = np.count_nonzero(shown)
-        ids = tracker.update(
-            Sighting(step * dt, points[shown], covariance[shown], np.full(n, 0.2),
-                     np.full(n, np.nan), np.full(n, 0.9), view_to(23.0))
-        )  # fmt: skip
+        ids = tracker.correct_tracks(
+            pole_detections(
+                step * dt,
+                step * dt,
+                points[shown],
+                covariance[shown],
+                width_m=np.full(n, 0.2),
+                probability=np.full(n, 0.9),
+                view=view_to(23.0),
+            )
+        )
         for pole, track in zip(np.flatnonzero(shown), ids, strict=True):
             owner.setdefault(int(pole), set()).add(int(track))
         tracks = tracker.tracks
@@ -94,7 +101,7 @@ def drive_by(rate_hz: float, seed: int, error_time_s: float) -> Passage:
         noisy_m = forward * (1 + CONFIG.speed_sd_share * rng.standard_normal())
         noisy_m += CONFIG.speed_sd_mps * dt * rng.standard_normal()
         noisy_turn = turn + CONFIG.yaw_rate_sd_radps * dt * rng.standard_normal()
-        tracker.predict(Motion(dt, noisy_m, 0.0, noisy_turn, forward))
+        tracker.predict_tracks(Motion(dt, noisy_m, 0.0, noisy_turn, forward))
     counts = [len(ids - {-1}) for ids in owner.values()]
     return Passage(np.array(nees), np.array(counts, dtype=np.float64))
 
@@ -114,29 +121,29 @@ def test_id_survives_a_short_occlusion_and_an_unseen_pole_dies() -> None:
     tracker = PoleTracker(CONFIG)
     blocked = VisibleRegion(np.zeros(2), -0.8, 0.8, 2.0, np.full(16, 8.0))
     for step in range(5):
-        ids = tracker.update(sighting(0.1 * step, [12.0, 1.0], view=view_to(25.0)))
+        ids = tracker.correct_tracks(detected(0.1 * step, [12.0, 1.0], view=view_to(25.0)))
     first = ids[0]
     for step in range(5, 15):  # a second behind a van
-        tracker.predict(Motion(0.1, 0.0, 0.0, 0.0, 0.0))
-        tracker.update(sighting(0.1 * step, np.empty((0, 2)), view=blocked))
+        tracker.predict_tracks(Motion(0.1, 0.0, 0.0, 0.0, 0.0))
+        tracker.correct_tracks(detected(0.1 * step, np.empty((0, 2)), view=blocked))
     assert tracker.tracks.confirmed.tolist() == [True]
-    assert tracker.update(sighting(1.5, [12.05, 1.0], view=view_to(25.0)))[0] == first
+    assert tracker.correct_tracks(detected(1.5, [12.05, 1.0], view=view_to(25.0)))[0] == first
     for step in range(16, 30):  # in plain view, and not there
-        tracker.update(sighting(0.1 * step, np.empty((0, 2)), view=view_to(25.0)))
+        tracker.correct_tracks(detected(0.1 * step, np.empty((0, 2)), view=view_to(25.0)))
     assert len(tracker.tracks) == 0
 
 
-def test_one_doubtful_sighting_is_not_confirmed_and_two_good_ones_are() -> None:
+def test_one_doubtful_detection_is_not_confirmed_and_two_good_ones_are() -> None:
     tracker = PoleTracker(CONFIG)
-    tracker.update(sighting(0.0, [10.0, 0.0], probability=0.6))
+    tracker.correct_tracks(detected(0.0, [10.0, 0.0], probability=0.6))
     assert not tracker.tracks.confirmed.any()
     tracker = PoleTracker(CONFIG)
-    tracker.update(sighting(0.0, [10.0, 0.0], probability=0.97))
+    tracker.correct_tracks(detected(0.0, [10.0, 0.0], probability=0.97))
     assert not tracker.tracks.confirmed.any()
-    tracker.update(sighting(0.1, [10.0, 0.0], probability=0.97))
+    tracker.correct_tracks(detected(0.1, [10.0, 0.0], probability=0.97))
     assert tracker.tracks.confirmed.all()
     faint = PoleTracker(CONFIG)
-    faint.update(sighting(0.0, [10.0, 0.0], probability=0.25))
+    faint.correct_tracks(detected(0.0, [10.0, 0.0], probability=0.25))
     assert len(faint.tracks) == 0
 
 
@@ -144,34 +151,34 @@ def test_twice_the_frames_are_not_twice_the_evidence() -> None:
     odds = []
     for rate_hz in (10, 40):
         tracker = PoleTracker(CONFIG)
-        tracker.update(sighting(0.0, [10.0, 0.0], probability=0.7))
+        tracker.correct_tracks(detected(0.0, [10.0, 0.0], probability=0.7))
         for step in range(1, rate_hz // 5 + 1):
-            tracker.update(sighting(step / rate_hz, [10.0, 0.0], probability=0.7))
+            tracker.correct_tracks(detected(step / rate_hz, [10.0, 0.0], probability=0.7))
         odds.append(tracker.tracks.log_odds[0])
     assert odds[0] == pytest.approx(odds[1], abs=1e-9)
 
 
 def test_assignment_is_optimal_where_the_nearest_is_wrong() -> None:
     tracker = PoleTracker(CONFIG)
-    ids = tracker.update(sighting(0.0, [[10.0, 0.0], [10.0, 0.5]], sd_m=0.3))
+    ids = tracker.correct_tracks(detected(0.0, [[10.0, 0.0], [10.0, 0.5]], sd_m=0.3))
     # both moved left by 0.35: the first detection is nearest to the second track
-    later = tracker.update(sighting(0.1, [[10.0, 0.35], [10.0, 0.85]], sd_m=0.3))
+    later = tracker.correct_tracks(detected(0.1, [[10.0, 0.35], [10.0, 0.85]], sd_m=0.3))
     assert later.tolist() == ids.tolist()
 
 
 def test_gate_bears_a_new_track_beyond_it() -> None:
     tracker = PoleTracker(CONFIG)
-    one = tracker.update(sighting(0.0, [10.0, 0.0]))
-    assert tracker.update(sighting(0.1, [10.0, 1.5]))[0] != one[0]
+    one = tracker.correct_tracks(detected(0.0, [10.0, 0.0]))
+    assert tracker.correct_tracks(detected(0.1, [10.0, 1.5]))[0] != one[0]
     assert len(tracker.tracks) == 2
 
 
 def test_prediction_moves_points_and_spreads_them() -> None:
     tracker = PoleTracker(CONFIG)
-    tracker.update(sighting(0.0, [[10.0, 2.0], [15.0, -3.0]]))
+    tracker.correct_tracks(detected(0.0, [[10.0, 2.0], [15.0, -3.0]]))
     before = tracker.tracks
     move = Pose2D(1.2, 0.1, 0.2)
-    tracker.predict(Motion(0.1, move.x_m, move.y_m, move.yaw_rad, 1.25))
+    tracker.predict_tracks(Motion(0.1, move.x_m, move.y_m, move.yaw_rad, 1.25))
     after = tracker.tracks
     expected = inverse_transform_points(move, before.points_vehicle_m)
     assert np.allclose(after.points_vehicle_m, expected)
@@ -183,7 +190,7 @@ def test_prediction_moves_points_and_spreads_them() -> None:
 def test_width_and_height_are_averaged_and_unknown_ones_skipped() -> None:
     tracker = PoleTracker(CONFIG)
     for step, width in enumerate((0.2, np.nan, 0.3, 0.25)):
-        tracker.update(sighting(0.1 * step, [10.0, 0.0], width_m=width))
+        tracker.correct_tracks(detected(0.1 * step, [10.0, 0.0], width_m=width))
     assert 0.2 < tracker.tracks.width_m[0] < 0.3
     assert np.isnan(tracker.tracks.height_m[0])
 
@@ -195,7 +202,7 @@ def test_a_track_takes_a_detection_by_its_mahalanobis_distance(seed: int) -> Non
     spread = root @ root.T + 1e-3 * np.eye(2)
     gate = np.sqrt(chi2.ppf(CONFIG.gate_probability, 2))
     direction = rng.normal(0, 1, 2)
-    # the first and the second sighting have the same covariance: their sum is twice that
+    # the first and the second detection have the same covariance: their sum is twice that
     edge = gate * direction / np.sqrt(direction @ np.linalg.solve(2.0 * spread, direction))
     for part, taken in ((0.99, True), (1.01, False)):
         tracker = PoleTracker(CONFIG.model_copy(update={"gate_max_m": 50.0}))
@@ -203,8 +210,8 @@ def test_a_track_takes_a_detection_by_its_mahalanobis_distance(seed: int) -> Non
             (0.0, np.array([8.0, 1.0])),
             (0.1, np.array([8.0, 1.0]) + part * edge),
         ):
-            one = replace(sighting(stamp, point[None]), covariance_m2=spread[None])
-            ids = tracker.update(one)
+            one = replace(detected(stamp, point[None]), covariance_m2=spread[None])
+            ids = tracker.correct_tracks(one)
         assert (ids[0] == 0) == taken
 
 
@@ -215,19 +222,21 @@ def test_tracks_are_moved_by_the_error_that_they_share_once_it_is_known() -> Non
     for step in range(8):
         if step:
             for tracker in (wrong, right):
-                tracker.predict(Motion(0.1, 1.0, 0.0, 0.01, 1.0))
+                tracker.predict_tracks(Motion(0.1, 1.0, 0.0, 0.01, 1.0))
             turn = np.array([[np.cos(0.01), -np.sin(0.01)], [np.sin(0.01), np.cos(0.01)]])
             poles = (poles - [1.0, 0.0]) @ turn
         per_unit = -poles * poles[:, :1] / 247.0
         seen = poles + 0.02 * rng.standard_normal(poles.shape)
-        right.update(replace(sighting(0.1 * step, seen), per_offset_m=per_unit))
-        wrong.update(replace(sighting(0.1 * step, seen + error * per_unit), per_offset_m=per_unit))
+        right.correct_tracks(replace(detected(0.1 * step, seen), shift_per_px_m=per_unit))
+        wrong.correct_tracks(
+            replace(detected(0.1 * step, seen + error * per_unit), shift_per_px_m=per_unit)
+        )
     gap = wrong.tracks.points_vehicle_m - right.tracks.points_vehicle_m
     assert np.hypot(*gap.T).min() > 0.1
     # a track still leans on what it saw from afar
     now = np.hypot(*(error * per_unit).T)
     assert (np.hypot(*gap.T) > now).all()
-    wrong.shift(-error)
+    wrong.shift_tracks(-error)
     np.testing.assert_allclose(
         wrong.tracks.points_vehicle_m, right.tracks.points_vehicle_m, atol=1e-3
     )
@@ -239,5 +248,16 @@ def test_what_the_detector_takes_for_granted_is_no_evidence() -> None:
     for probability, sign in ((CONFIG.pole_share, 0.0), (0.6, 1.0), (0.3, -1.0)):
         tracker = PoleTracker(CONFIG)
         for step in range(4):
-            tracker.update(sighting(0.1 * step, np.array([10.0, 2.0]), probability=probability))
+            tracker.correct_tracks(
+                detected(0.1 * step, np.array([10.0, 2.0]), probability=probability)
+            )
         assert np.sign(np.round(tracker.tracks.log_odds, 9)).tolist() == [sign]
+
+
+def test_a_track_takes_detections_of_its_own_kind_only() -> None:
+    tracker = PoleTracker(CONFIG)
+    pole = detected(0.0, [10.0, 2.0])
+    sign = detected(0.1, [10.0, 2.0]).with_columns(kind=np.ones(1, dtype=np.int8))
+    first = tracker.correct_tracks(pole)
+    assert tracker.correct_tracks(sign)[0] != first[0]
+    assert tracker.correct_tracks(detected(0.2, [10.0, 2.0]))[0] == first[0]

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polemap.drivelog.samples import GnssFix, OdometrySample, PoleScan
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.simulate.config import DetectorConfig, ReferenceConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.points.drive import PointScenario, simulate_points
@@ -180,7 +181,7 @@ def test_samples_come_in_order_of_arrival_and_on_the_clock_of_the_drive() -> Non
     drive = simulate_points(scenario, np.random.default_rng(0))
     arrivals = [sample.arrival_s for sample in drive.samples]  # type: ignore[union-attr]
     assert arrivals == sorted(arrivals)
-    assert {type(sample) for sample in drive.samples} == {OdometrySample, GnssFix, PoleScan}
+    assert {type(sample) for sample in drive.samples} == {OdometrySample, GnssFix, Detections}
     assert 500.0 <= min(sample.stamp_s for sample in drive.samples) < 500.1
     assert drive.motion.stamp_s[0] == 500.0
     assert min(pose.stamp_s for pose in drive.poses) > 500.0
