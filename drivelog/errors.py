@@ -2,7 +2,7 @@
 
 from polemap.errors import PolemapError
 
-__all__ = ["ConfigError", "FrameError", "InputError", "OutputError", "PolemapError"]
+__all__ = ["ConfigError", "FrameError", "InputError", "OutputError", "PolemapError", "WorkerError"]
 
 
 class InputError(PolemapError):
@@ -19,3 +19,7 @@ class FrameError(PolemapError):
 
 class ConfigError(PolemapError):
     """A setting that is unknown or out of its range."""
+
+
+class WorkerError(PolemapError):
+    """Worker processes that end before their work does."""

@@ -19,8 +19,8 @@ ROOMS = {
     "tools": "tools",
 }
 ON_DISK = ("tools", "drivelog", "simulate")
-# --config; lap.csv of a run's drive; TUM files
-READERS = ("polemap/settings.py", "evaluate/routes.py", "evaluate/trajectory.py")
+# --config; lap.csv of a run's drive
+READERS = ("polemap/settings.py", "evaluate/routes.py")
 TOUCHES_DISK = {
     *("open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink", "rename"),
     *("iterdir", "imread", "imwrite", "loadtxt", "savetxt", "fromfile", "tofile", "savez"),

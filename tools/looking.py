@@ -7,9 +7,7 @@ one file, so that a killed one goes on where it was.
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +22,7 @@ from polemap.drivelog.atomic import scratch_folder
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.processes import WorkerPool
+from polemap.drivelog.jobs import Advance, LocalWorkers, run_jobs
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.tools.scan_cache import (
@@ -39,8 +37,6 @@ from polemap.tools.scan_cache import (
 FRAMES_A_TASK = 20
 # What a detection depends on; the rest of the settings may change without looking again.
 _SEEN_BY = ("stereo", "polemap.detection")
-
-Advance = Callable[[int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +118,7 @@ def look(
     with scratch_folder() as fallback:
         known = drive_fingerprint(drive)
         jobs = look_jobs(source, drive, known, settings, cache or fallback)
-        run_jobs(jobs, do_look, workers, advance)
+        run_kept(jobs, do_look, workers, advance)
         raw, spent_s = read_looks([job.target for job in jobs])
         return tracked(drive, raw, settings.polemap, spent_s)
 
@@ -208,29 +204,18 @@ def what_is_seen_by(settings: Settings) -> dict[str, Any]:
     return found
 
 
-def run_jobs(
+def run_kept(
     jobs: Sequence[_Job], do: Callable[[_Job], None], workers: int, advance: Advance
 ) -> None:
     """Do every job whose file is not there yet."""
-    todo = [job for job in jobs if not Path(job.target).is_file()]
-    advance(sum(job.steps for job in jobs) - sum(job.steps for job in todo))
-    if workers == 1 or len(todo) < 2:
-        for job in todo:
-            do(job)
-            advance(job.steps)
-        return
-    # One thread a process: the processes share the cores among themselves.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    with WorkerPool(min(workers, len(todo))) as pool:
-        futures = {pool.submit(do, job): job for job in todo}
-        try:
-            for future in as_completed(futures):
-                future.result()
-                advance(futures[future].steps)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    run_jobs(
+        jobs,
+        do,
+        LocalWorkers(workers),
+        done=lambda job: Path(job.target).is_file(),
+        steps=lambda job: job.steps,
+        advance=advance,
+    )
 
 
 @lru_cache(maxsize=2)

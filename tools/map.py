@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,12 +11,14 @@ import numpy as np
 import typer
 
 from polemap.build.build_map import BuiltMap, assemble_map, build_map, unique_names
+from polemap.build.city.cluster import open_cluster
 from polemap.build.city.io import clear
-from polemap.build.city.work import DriveTask, observe_all, on_workers, open_client
+from polemap.build.city.work import DriveTask, observe_all, on_workers
 from polemap.build.map_diff import CHANGE, DISTANCE, compare_maps, diff_map
 from polemap.drivelog.atomic import check_files, reserved
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.jobs import LocalWorkers, Workers
 from polemap.map.io import check_writable, export_map, read_map, write_map
 from polemap.map.landmark_map import PoleMap
 from polemap.settings import Settings, load_settings
@@ -39,6 +42,12 @@ class _Place:
     checkpoints: Path
     workers: int | None
     scheduler: str | None
+
+    def opened(self, drives: int) -> AbstractContextManager[Workers]:
+        """The workers of the scheduler, or processes of this machine."""
+        if self.scheduler is not None:
+            return open_cluster(self.scheduler)
+        return nullcontext(LocalWorkers(min(self.workers or 1, max(drives, 1))))
 
 
 def command(
@@ -213,9 +222,9 @@ def _build_apart(
 ) -> BuiltMap:
     """The same map by workers, a drive each; what they finished survives a killed run."""
     mapping = settings.polemap.mapping
-    with open_client(place.workers, place.scheduler) as client:
+    with place.opened(len(tasks)) as workers:
         with progress(len(drives), "drives") as advance:
-            parts = observe_all(tasks, observe_task, place.checkpoints, client=client, done=advance)
+            parts = observe_all(tasks, observe_task, place.checkpoints, workers, advance)
         with progress(None, "merging tiles") as advance:
             return assemble_map(
                 parts,
@@ -223,7 +232,7 @@ def _build_apart(
                 tasks[0].frame,
                 update=old,
                 align=align,
-                run=on_workers(client, advance),
+                run=on_workers(workers, advance),
                 tile_m=mapping.tile_m,
             )
 

@@ -8,7 +8,6 @@ import math
 import shutil
 import time
 from collections.abc import Iterator
-from concurrent.futures import as_completed
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 from polemap import __version__
 from polemap.drivelog.atomic import atomic_folder, copy_folder, reserved
 from polemap.drivelog.drive import Drive
-from polemap.drivelog.processes import WorkerPool
+from polemap.drivelog.jobs import LocalWorkers, run_jobs
 from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
@@ -87,6 +86,14 @@ class Replay:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class RunJob:
+    """One run of a replay, to be kept at `target`."""
+
+    target: str
+    seed: int
+
+
 @contextmanager
 def shared_runs(kept: Path | None) -> Iterator[None]:
     """Holds the finished runs of a cache: for one command at a time, and until its result stands.
@@ -115,20 +122,15 @@ def run_many(
     names = [f"{number:0{digits}d}" for number in range(runs)]
     places = [folder / name if kept is None else kept / str(seed + n)
               for n, name in enumerate(names)]  # fmt: skip
-    todo = [number for number in range(runs) if kept is None or not places[number].is_dir()]
-    with (
-        progress(runs, f"{runs} runs on {workers} processes") as advance,
-        WorkerPool(workers, _take_job, (job,)) as pool,
-    ):
-        advance(runs - len(todo))
-        futures = [pool.submit(_one, places[number], seed + number) for number in todo]
-        try:
-            for future in as_completed(futures):
-                future.result()
-                advance(1)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    jobs = [RunJob(str(place), seed + number) for number, place in enumerate(places)]
+    with progress(runs, f"{runs} runs on {workers} processes") as advance:
+        run_jobs(
+            jobs,
+            do_run,
+            LocalWorkers(workers, _take_job, (job,)),
+            done=lambda one: kept is not None and Path(one.target).is_dir(),
+            advance=advance,
+        )
     if kept is not None:
         for place, name in zip(places, names, strict=True):
             copy_folder(place, folder / name)
@@ -151,11 +153,12 @@ def _take_job(job: Replay) -> None:
     _job = job
 
 
-def _one(place: Path, seed: int) -> None:
+def do_run(one: RunJob) -> None:
+    """One run of the replay that this process was given."""
     if _job is None:
-        raise RuntimeError("a worker was started without its job")
-    with atomic_folder(place, "run") as part:
-        _job.run(part, seed)
+        raise RuntimeError("a worker was started without its replay")
+    with atomic_folder(Path(one.target), "run") as part:
+        _job.run(part, one.seed)
 
 
 def _read_metrics(path: Path) -> dict[str, Any]:

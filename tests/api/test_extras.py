@@ -46,7 +46,7 @@ MISSING = {
     "report RUN --out OUT": ("matplotlib", "report"),
     "demo --out OUT": ("matplotlib", "report"),
     "map DRIVE --out OUT.gpkg --picture OUT.png": ("matplotlib", "report"),
-    "map DRIVE --out OUT.gpkg --workers 1": ("dask", "city"),
+    "map DRIVE --out OUT.gpkg --scheduler tcp://127.0.0.1:1": ("dask", "city"),
     "map DRIVE --out OUT.parquet": ("pyarrow", "gis"),
     "map --convert MAP --out OUT.osm.pbf": ("osmium", "gis"),
     "estimate LOG.mcap --estimator bicycle --vehicle passat --out OUT.csv": ("mcap", "bags"),

@@ -18,7 +18,7 @@ from polemap.evaluation.route import measure
 from polemap.evaluation.routes import Recording
 from polemap.evaluation.runs.io import Run
 from polemap.settings import Settings
-from polemap.tools.looking import LookJob, Source, do_look, look_jobs, run_jobs, what_is_seen_by
+from polemap.tools.looking import LookJob, Source, do_look, look_jobs, run_kept, what_is_seen_by
 from polemap.tools.report.sweep_jobs import ReplayJob, do_replay, read_result, thinned
 from polemap.tools.report.sweep_spec import Sweep, SweepValue, settings_of
 from polemap.tools.scan_cache import drive_fingerprint, fingerprint
@@ -78,10 +78,10 @@ def run_sweeps(
         raise InputError("--sweep: no route can be replayed; " + "; ".join(notes))
     looks = list({job.target: job for plan in plans for job in plan.looks}.values())
     with progress(sum(job.steps for job in looks), "looking for poles") as advance:
-        run_jobs(looks, do_look, workers, advance)
+        run_kept(looks, do_look, workers, advance)
     replays = list({job.target: job for plan in plans for job in plan.replays()}.values())
     with progress(len(replays), "replaying the sweep") as advance:
-        run_jobs(replays, do_replay, workers, advance)
+        run_kept(replays, do_replay, workers, advance)
     swept = []
     with progress(len(plans), "measuring the sweep") as advance:
         for plan in plans:

@@ -16,6 +16,7 @@ from polemap.build.city.work import DriveTask, observe_all
 from polemap.build.config import MappingConfig
 from polemap.build.drive_observations import DriveObservations, observe_drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.jobs import LocalWorkers
 from tests.polemap.town import FRAME, drive_through, make_town, route
 
 
@@ -66,4 +67,4 @@ def tasks(folder: Path) -> list[DriveTask]:
 
 if __name__ == "__main__":
     where = Path(sys.argv[1])
-    observe_all(tasks(where), observe_but_hang, where / "checkpoints", workers=2)
+    observe_all(tasks(where), observe_but_hang, where / "checkpoints", LocalWorkers(2))

@@ -14,13 +14,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dask.distributed import LocalCluster
 
 from polemap.build.assemble import assemble_map
+from polemap.build.city.cluster import open_cluster
 from polemap.build.city.io import clear, read_checkpoint, write_checkpoint
-from polemap.build.city.work import observe_all, on_workers, open_client
+from polemap.build.city.work import observe_all, on_workers
 from polemap.build.config import MappingConfig
 from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.errors import ConfigError, InputError
+from polemap.drivelog.jobs import LocalWorkers
 from polemap.map.landmark_map import PoleMap
 from tests.polemap.build import city_tasks
 from tests.polemap.town import FRAME
@@ -48,7 +51,7 @@ def single(tmp_path_factory: pytest.TempPathFactory) -> PoleMap:
 def test_a_checkpoint_keeps_everything_and_only_for_its_key(tmp_path: Path) -> None:
     task = city_tasks.tasks(tmp_path)[0]
     part = city_tasks.observe(task)
-    path = tmp_path / "c" / "a.npz"
+    path = tmp_path / "c" / f"{task.key()}.npz"
     write_checkpoint(part, "key", path)
     back = read_checkpoint(path, "key")
     assert back is not None
@@ -70,12 +73,14 @@ def test_keys_name_the_computation(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_lost_worker_is_survived_with_the_same_rows(tmp_path: Path, single: PoleMap) -> None:
     tasks = city_tasks.tasks(tmp_path)
-    parts = observe_all(tasks, city_tasks.observe_but_die_once, tmp_path / "c", workers=2)
+    parts = observe_all(tasks, city_tasks.observe_but_die_once, tmp_path / "c", LocalWorkers(2))
     assert city_tasks.calls(tmp_path, "day 2") >= 2
     assert_same_rows(single, mapped(parts))
     # and once it is done, nothing is computed again
     before = city_tasks.calls(tmp_path, "day 1")
-    again = observe_all(tasks[::-1], city_tasks.observe_but_die_once, tmp_path / "c", workers=2)
+    again = observe_all(
+        tasks[::-1], city_tasks.observe_but_die_once, tmp_path / "c", LocalWorkers(2)
+    )
     assert city_tasks.calls(tmp_path, "day 1") == before
     assert_same_rows(single, mapped(again))
 
@@ -95,7 +100,7 @@ def test_a_killed_coordinator_is_resumed(tmp_path: Path, single: PoleMap) -> Non
         run.wait()
     assert city_tasks.calls(tmp_path, "day 1") == 1
     tasks = city_tasks.tasks(tmp_path)
-    parts = observe_all(tasks, city_tasks.observe, tmp_path / "checkpoints", workers=1)
+    parts = observe_all(tasks, city_tasks.observe, tmp_path / "checkpoints", LocalWorkers(1))
     assert city_tasks.calls(tmp_path, "day 1") == 1
     assert city_tasks.calls(tmp_path, "day 2") == 1
     assert_same_rows(single, mapped(parts))
@@ -105,9 +110,12 @@ def test_a_killed_coordinator_is_resumed(tmp_path: Path, single: PoleMap) -> Non
 def test_tiles_are_merged_on_a_cluster_that_loses_workers(tmp_path: Path, single: PoleMap) -> None:
     """Drives and tiles on one cluster; a worker dies in each of the two rounds over the tiles."""
     config, merged = MappingConfig(), []
-    with open_client(2) as client:
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        open_cluster(cluster.scheduler_address) as client,
+    ):
         parts = observe_all(
-            city_tasks.tasks(tmp_path), city_tasks.observe, tmp_path / "c", client=client
+            city_tasks.tasks(tmp_path), city_tasks.observe_but_die_once, tmp_path / "c", client
         )
         workers = on_workers(client, merged.append)
 
@@ -126,8 +134,9 @@ def test_tiles_are_merged_on_a_cluster_that_loses_workers(tmp_path: Path, single
 @pytest.mark.slow
 def test_errors_of_a_drive_come_through(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"drive day \d: it is upside down"):
-        observe_all(city_tasks.tasks(tmp_path), city_tasks.observe_badly, tmp_path, workers=1)
-    with pytest.raises(ConfigError, match=r"--scheduler tcp://127.0.0.1:1: cannot be reached"):
-        observe_all(
-            city_tasks.tasks(tmp_path), city_tasks.observe, tmp_path, scheduler="tcp://127.0.0.1:1"
-        )
+        observe_all(city_tasks.tasks(tmp_path), city_tasks.observe_badly, tmp_path, LocalWorkers(1))
+    with (
+        pytest.raises(ConfigError, match=r"--scheduler tcp://127.0.0.1:1: cannot be reached"),
+        open_cluster("tcp://127.0.0.1:1"),
+    ):
+        pass
