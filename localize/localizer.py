@@ -113,7 +113,7 @@ class Localizer:
         self._inbox: deque[OdometrySample | GnssFix] = deque(maxlen=20_000)
         self._pending: list[tuple[float, int, PfEstimate, float]] = []
         self._numbers = count()
-        # the slow half (perception, particles) and the fast half (output filter) lock apart
+        # the slow half (perception, particles) and the fast half (output filter) have a lock each
         self._slow, self._fast = Lock(), Lock()
         self.counts: Counter[str] = Counter()
         self.timings_s = self._times.seconds

@@ -76,8 +76,8 @@ class ConstellationIndex:
         """Have every pair whose first pole lies within `radius_m` of a place `(2,)`, or all."""
         if centre_m is None:
             centre_m, radius_m = self._centre_m, np.inf
-        apart = float(np.hypot(*(centre_m - self._centre_m)))
-        if apart + radius_m <= self._radius_m:
+        moved_m = float(np.hypot(*(centre_m - self._centre_m)))
+        if moved_m + radius_m <= self._radius_m:
             return
         self._centre_m, self._radius_m = centre_m.copy(), radius_m + _WINDOW_MARGIN_M
         rows = np.arange(len(self._points))
