@@ -18,6 +18,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import Image, Sample, StereoFrame
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.parsing.errors import named
 from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
@@ -245,11 +246,12 @@ def open_drive(path: str | Path, *, seed: int = 0) -> Drive:
         InputError: no such path, no reader knows it, or something in it cannot be used.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: no such drive")
-    for reader in readers():
-        if reader.can_read(path):
-            return reader.read(path, seed=seed)
+    with named(path, InputError, "drive"):
+        if not path.exists():
+            raise InputError(f"{path}: no such drive")
+        for reader in readers():
+            if reader.can_read(path):
+                return reader.read(path, seed=seed)
     kinds = ", ".join(reader.name for reader in readers())
     raise InputError(
         f"{path}: not a drive that can be read (kinds: {kinds}); a plain drive folder holds a "

@@ -69,12 +69,15 @@ class EarthFrame:
         Raises:
             InputError: a key that is unknown or a value that names no frame.
         """
-        unknown = set(values) - {"kind", "epsg", "name"}
+        if not isinstance(values, Mapping):
+            raise InputError(f"frame: {str(values)[:40]} is no frame; expected kind, epsg and name")
+        unknown = {str(key) for key in values} - {"kind", "epsg", "name"}
         if unknown:
-            raise InputError(f"frame: unknown key '{sorted(unknown)[0]}'")
+            raise InputError(f"frame: unknown key '{min(unknown)[:40]}'")
         epsg = values.get("epsg")
         if epsg is not None and (isinstance(epsg, bool) or not isinstance(epsg, int)):
-            raise InputError(f"frame: epsg is '{epsg}', it must be a whole number such as 32633")
+            given = str(epsg)[:40]
+            raise InputError(f"frame: epsg is '{given}', it must be a whole number such as 32633")
         name = values.get("name")
         return cls(str(values.get("kind")), epsg, None if name is None else str(name))
 

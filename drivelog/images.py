@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import Image
+from polemap.parsing.errors import named, short
+from polemap.parsing.pictures import check_size
+from polemap.parsing.text import MEGABYTE, read_bytes
 from polemap.stereo.rig import StereoRig
 
+LARGEST_BYTES = 300 * MEGABYTE
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -34,19 +38,29 @@ def _check_png(data: bytes, path: Path) -> None:
     raise InputError(f"{path}: truncated PNG ({len(data)} bytes, no end); restore the file")
 
 
-def read_grey(path: Path) -> Image:
+def read_grey(path: Path, size: tuple[int, int] | None = None) -> Image:
     """A grey image `(height, width)`, 8 or 16 bit; colour is turned to grey.
+
+    Args:
+        path: the file.
+        size: width and height that it must have.
 
     Raises:
         InputError: missing, truncated, damaged, or no image.
     """
+    with named(path, InputError, "image"):
+        data = read_bytes(path, LARGEST_BYTES)
+        if data.startswith(_PNG):
+            _check_png(data, path)
+        width, height = check_size(data)
+    if size is not None and (width, height) != size:
+        raise InputError(
+            f"{path}: {width}x{height} pixels, but the camera of the drive has {size[0]}x{size[1]}"
+        )
     try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: image cannot be read ({error.strerror})") from error
-    if data.startswith(_PNG):
-        _check_png(data, path)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, MemoryError) as error:
+        raise InputError(f"{path}: not an image that can be decoded ({short(error)})") from error
     if image is None:
         raise InputError(f"{path}: not an image that can be decoded ({len(data)} bytes)")
     if image.ndim == 3 and image.shape[2] in (3, 4):
@@ -67,13 +81,8 @@ class ImagePairs:
     rig: StereoRig
 
     def load(self, row: int) -> tuple[Image, Image]:
-        left, right = (read_grey(path) for path in self.paths[row])
-        for image, path in zip((left, right), self.paths[row], strict=True):
-            if image.shape != (self.rig.height_px, self.rig.width_px):
-                raise InputError(
-                    f"{path}: {image.shape[1]}x{image.shape[0]} pixels, but the camera of the "
-                    f"drive has {self.rig.width_px}x{self.rig.height_px}"
-                )
+        size = self.rig.width_px, self.rig.height_px
+        left, right = (read_grey(path, size) for path in self.paths[row])
         if left.dtype != right.dtype:
             raise InputError(
                 f"{self.paths[row][1]}: {right.dtype} pixels, but the left image has {left.dtype}"

@@ -11,8 +11,24 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
+from polemap.parsing.csv_text import check_csv
+from polemap.parsing.errors import named
 
 Floats = NDArray[np.float64]
+
+# far beyond what any drive or map can hold, and far below where squares overflow
+_LARGEST = (
+    ("_mps", 1e5),
+    ("_radps", 1e5),
+    ("_m2", 1e16),
+    ("_m", 1e9),
+    ("_rad", 1e6),
+    ("_deg", 1e9),
+    ("_px", 1e6),
+    # nanoseconds since 1970 are converted later
+    ("_s", 1e20),
+)
+_LARGEST_ELSE = 1e18
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +92,13 @@ def read_table(
     Raises:
         InputError: an unreadable file, a missing column, a cell that is no number.
     """
+    with named(path, InputError, "table"):
+        check_csv(path)
     raw = _read_text(path)
     _check_width(path, len(raw.columns))
     for name in (*required, *texts):
         if name not in raw.columns:
-            found = ", ".join(str(c) for c in raw.columns)
+            found = ", ".join(str(c)[:30] for c in raw.columns[:20])
             raise InputError(f"{path}: column '{name}' is missing (found: {found})")
     lines = np.arange(len(raw), dtype=np.int64) + 2
     filled = (raw != "").any(axis=1).to_numpy() if len(raw) else np.zeros(0, dtype=bool)
@@ -93,14 +111,33 @@ def read_table(
         lines,
         {},
     )
+    sane = np.ones(len(table), dtype=bool)
+    for name in present:
+        wild = np.abs(table[name]) > largest(name)
+        sane &= ~(wild & np.isfinite(table[name]))
+    if not drop_not_finite and not sane.all():
+        row = int(np.flatnonzero(~sane)[0])
+        name = next(n for n in present if abs(table[n][row]) > largest(n))
+        raise InputError(
+            f"{path}, line {table.lines[row]}: {name} is {table[name][row]:g}, beyond the "
+            f"{largest(name):g} that such a value may have"
+        )
+    table = table.keep(sane, "out_of_range")
     finite = np.ones(len(table), dtype=bool)
     for name in required:
         finite &= np.isfinite(table[name])
     if not drop_not_finite and not finite.all():
         row = int(np.flatnonzero(~finite)[0])
         name = next(name for name in required if not np.isfinite(table[name][row]))
-        raise InputError(f"{path}, line {lines[row]}: {name} is {table[name][row]}, not a number")
+        raise InputError(
+            f"{path}, line {table.lines[row]}: {name} is {table[name][row]}, not a number"
+        )
     return table.keep(finite, "not_finite")
+
+
+def largest(name: str) -> float:
+    """What a value in a column may be at most, by the unit that its name ends in."""
+    return next((value for unit, value in _LARGEST if name.endswith(unit)), _LARGEST_ELSE)
 
 
 def _read_text(path: Path) -> pd.DataFrame:
@@ -111,9 +148,9 @@ def _read_text(path: Path) -> pd.DataFrame:
         )  # fmt: skip
     except pd.errors.EmptyDataError as error:
         raise InputError(f"{path}: empty file, a header line is needed") from error
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+    except (ValueError, UnicodeError, OverflowError) as error:
         detail = str(error).strip().splitlines()[-1]
-        raise InputError(f"{path}: not a UTF-8 CSV file ({detail})") from error
+        raise InputError(f"{path}: not a UTF-8 CSV file ({detail[:120]})") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 

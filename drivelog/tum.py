@@ -9,10 +9,15 @@ import numpy as np
 
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError
+from polemap.parsing.errors import named
+from polemap.parsing.text import MEGABYTE, check_size
 from polemap.vehicle.pose import wrap_angle
 from polemap.vehicle.trajectory import Trajectory
 
 TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+LARGEST_BYTES = 20_000 * MEGABYTE
+# stamps may be nanoseconds; metres go once round the earth; quaternions are normalised by use
+_LARGEST = np.array([1e20, 1e9, 1e9, 1e9, 1e3, 1e3, 1e3, 1e3])
 
 
 def read_tum(path: Path) -> Trajectory:
@@ -24,24 +29,27 @@ def read_tum(path: Path) -> Trajectory:
         InputError: the file is missing, has no pose, a line has not eight numbers, or a value is
             not finite.
     """
+    if not path.is_file():
+        raise InputError(f"{path}: no such trajectory")
+    with named(path, InputError, "trajectory"):
+        check_size(path, LARGEST_BYTES)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             table = np.loadtxt(path, dtype=np.float64, comments="#", ndmin=2)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such trajectory") from None
-    except (ValueError, OSError, UnicodeDecodeError):
+    except (ValueError, OverflowError, OSError, UnicodeDecodeError):
         raise InputError(_broken_line(path)) from None
     if table.size == 0:
         raise InputError(f"{path}: holds no pose; a TUM line is '{' '.join(TUM_COLUMNS)}'")
     if table.shape[1] != len(TUM_COLUMNS):
         raise InputError(_broken_line(path))
-    bad = np.argwhere(~np.isfinite(table))
+    # False for NaN as well
+    bad = np.argwhere(~(np.abs(table) <= _LARGEST))
     if len(bad):
         row, column = bad[0]
         raise InputError(
-            f"{path}: pose {row + 1} has {TUM_COLUMNS[column]} = {table[row, column]}; "
-            "every value of a TUM trajectory must be finite"
+            f"{path}: pose {row + 1} has {TUM_COLUMNS[column]} = {table[row, column]:g}; every "
+            f"value of a TUM trajectory must be finite and at most {_LARGEST[column]:g}"
         )
     stamp = table[:, 0]
     rising = stamp > np.concatenate([[-np.inf], np.maximum.accumulate(stamp)[:-1]])

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.electric.signals import INPUT_COLUMNS, REFERENCE_COLUMNS, SignalLog
 from polemap.errors import PolemapError
 from polemap.extras import need
+from polemap.parsing.csv_text import check_csv
+from polemap.parsing.errors import ParsingError, named, short
+from polemap.parsing.json_text import parse_json
+from polemap.parsing.text import decoded
+from polemap.parsing.yaml_text import read_yaml
 from polemap.vehicle.errors import VehicleError
 
 Floats = NDArray[np.float64]
@@ -52,10 +55,8 @@ def read_mapping(path: Path) -> dict[str, tuple[str, float]]:
     Raises:
         ConfigError: not a mapping of known names.
     """
-    try:
-        tree: Any = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: cannot be read as a mapping file ({error})") from error
+    with named(path, ConfigError, "mapping file"):
+        tree = read_yaml(path)
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: a mapping file holds `known_name: column` lines")
     result = {}
@@ -82,11 +83,14 @@ def _read_table(path: Path) -> pd.DataFrame:
             return pd.read_parquet(path)
         if path.suffix == ".mcap":
             return _read_mcap(path)
+        check_csv(path)
         return pd.read_csv(path, skipinitialspace=True)
+    except ParsingError as error:
+        raise InputError(f"{path}: {error}") from error
     except PolemapError:
         raise
     except Exception as error:  # pandas and pyarrow raise whatever they meet
-        raise InputError(f"{path}: cannot be read as a signal log ({error})") from error
+        raise InputError(f"{path}: cannot be read as a signal log ({short(error)})") from error
 
 
 def _read_mcap(path: Path) -> pd.DataFrame:
@@ -99,7 +103,9 @@ def _read_mcap(path: Path) -> pd.DataFrame:
         for _schema, channel, message in need("mcap.reader").make_reader(stream).iter_messages():
             if channel.message_encoding != "json":
                 continue
-            content = json.loads(message.data)
+            content = parse_json(decoded(message.data))
+            if not isinstance(content, dict):
+                raise InputError(f"{path}: a message of {channel.topic} is no object of values")
             row = {"stamp_s": content.pop("stamp_s", message.log_time * 1e-9)}
             for name, value in content.items():
                 if isinstance(value, int | float):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,8 @@ from polemap.evaluation.laps import SAME_ROAD_M, Span
 from polemap.evaluation.runs.io import RunSet
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
+from polemap.parsing.csv_text import read_rows
+from polemap.parsing.errors import named
 from polemap.vehicle.pose import wrap_angle
 from polemap.vehicle.trajectory import Trajectory
 
@@ -186,8 +187,9 @@ def _read_truth(folder: Path) -> Trajectory | None:
     path = folder / "truth.csv"
     if not path.is_file():
         return None
-    with path.open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    with named(path, InputError, "table"):
+        header, *body = read_rows(path) or [[]]
+        rows = [dict(zip(header, cells, strict=False)) for cells in body if cells]
     wanted = ("stamp_s", "east_m", "north_m", "yaw_rad")
     try:
         table = np.array([[float(row[name]) for name in wanted] for row in rows])

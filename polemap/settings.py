@@ -7,12 +7,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from polemap.config import PolemapConfig
 from polemap.drivelog.errors import ConfigError
 from polemap.localize.config import LocalizeConfig
+from polemap.parsing.errors import ParsingError, named
+from polemap.parsing.yaml_text import parse_yaml, read_yaml
 from polemap.simulate.config import SimulateConfig
 from polemap.stereo.config import StereoConfig
 
@@ -51,12 +52,8 @@ def read_tree(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: it cannot be read or holds no keys.
     """
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as a settings file ({error})") from error
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: is not YAML ({error})") from error
+    with named(path, ConfigError, "settings file"):
+        tree = read_yaml(path)
     if tree is None:
         return {}
     if not isinstance(tree, dict):
@@ -74,9 +71,9 @@ def parse_item(item: str, example: str) -> tuple[str, Any]:
     if not equals:
         raise ConfigError(f"--set {item}: expected key=value, such as {example}")
     try:
-        return key.strip(), yaml.safe_load(value)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"--set {item}: the value is not YAML") from error
+        return key.strip(), parse_yaml(value)
+    except ParsingError as error:
+        raise ConfigError(f"--set {item[:100]}: the value is {error}") from error
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:
@@ -99,7 +96,7 @@ def first_problem(error: ValidationError, settings: type[BaseModel]) -> str:
         text = f"unknown key '{key}'; known here: {', '.join(model.model_fields)}"
         near = get_close_matches(key, _keys(settings), n=1)
         return f"{text}; did you mean '{near[0]}'?" if near else text
-    return f"{key} = {first.get('input')!r}: {first['msg'].lower()}"
+    return f"{key} = {repr(first.get('input'))[:60]}: {first['msg'].lower()}"
 
 
 def _keys(model: type[BaseModel], section: str = "") -> Iterator[str]:

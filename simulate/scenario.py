@@ -6,10 +6,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from polemap.drivelog.errors import ConfigError, InputError
+from polemap.parsing.errors import named
+from polemap.parsing.text import read_text
+from polemap.parsing.yaml_text import LARGEST_BYTES, parse_yaml
 
 # from the rear axle's path to the kerb: half a car and a hand's breadth
 _BESIDE_AXLE_M = 1.1
@@ -224,16 +226,10 @@ def load_scenario(name_or_file: str | Path) -> Scenario:
                 f"scenario {text_name!r} is neither a file nor one of the worlds "
                 f"{', '.join(scenario_names())}"
             )
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"scenario {text_name}: cannot be read ({error})") from error
-    try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        place = getattr(error, "problem_mark", None)
-        line = f" line {place.line + 1}" if place is not None else ""
-        raise InputError(f"scenario {text_name}{line}: not valid YAML; mend that line") from error
+        with named(f"scenario {text_name}", InputError, "scenario"):
+            text = read_text(path, LARGEST_BYTES)
+    with named(f"scenario {text_name}", InputError, "scenario"):
+        content = parse_yaml(text)
     if not isinstance(content, dict):
         raise InputError(f"scenario {text_name}: expected a mapping with the keys name, route, ...")
     try:
@@ -241,6 +237,7 @@ def load_scenario(name_or_file: str | Path) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         place_text = ".".join(str(p) for p in first["loc"])
+        given = str(first.get("input"))[:60]
         raise ConfigError(
-            f"scenario {text_name}: {place_text}: {first['msg']} (got {first.get('input')!r})"
+            f"scenario {text_name}: {place_text}: {first['msg']} (got {given})"
         ) from error

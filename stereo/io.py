@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from polemap.parsing.errors import named
+from polemap.parsing.text import MEGABYTE, read_text
+from polemap.parsing.yaml_text import read_yaml
 from polemap.stereo.errors import StereoError
 from polemap.stereo.rectify import CameraCalibration, Distortion, StereoCalibration
 
@@ -18,10 +20,8 @@ _ROS_NAMES = {"": "plumb_bob", "fisheye": "equidistant", "radtan": "plumb_bob"}
 
 
 def _read_text(path: Path) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise StereoError(f"{path}: calibration cannot be read ({error})") from error
+    with named(path, StereoError, "calibration"):
+        return read_text(path, MEGABYTE)
 
 
 def read_kitti_calibration(path: Path, left: int = 0, right: int = 1) -> StereoCalibration:
@@ -109,10 +109,8 @@ def read_camera_info(left: Path, right: Path) -> StereoCalibration:
 
 
 def _camera_info(path: Path) -> dict[str, Any]:
-    try:
-        tree = yaml.safe_load(_read_text(path))
-    except yaml.YAMLError as error:
-        raise StereoError(f"{path}: is not YAML") from error
+    with named(path, StereoError, "calibration"):
+        tree = read_yaml(path)
     if not isinstance(tree, dict):
         raise StereoError(f"{path}: is not a CameraInfo (no keys)")
     return tree

@@ -7,6 +7,7 @@ one file, so that a killed one goes on where it was.
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -118,6 +119,7 @@ def look(
     with scratch_folder() as fallback:
         known = drive_fingerprint(drive)
         jobs = look_jobs(source, drive, known, settings, cache or fallback)
+        drop_damaged(jobs, is_readable)
         run_kept(jobs, do_look, workers, advance)
         raw, spent_s = read_looks([job.target for job in jobs])
         return tracked(drive, raw, settings.polemap, spent_s)
@@ -187,6 +189,20 @@ def read_looks(
             for name, seconds in zip(STAGES, row, strict=True):
                 spent[name][scan.stamp_s] = seconds
     return scans, spent
+
+
+def is_readable(job: LookJob) -> bool:
+    """Whether what a job kept can be read."""
+    return read_scans(Path(job.target)) is not None
+
+
+def drop_damaged(jobs: Sequence[_Job], is_whole: Callable[[_Job], bool]) -> None:
+    """Delete the files of jobs that are there but damaged, so that these jobs are done again."""
+    for job in jobs:
+        path = Path(job.target)
+        if path.is_file() and not is_whole(job):
+            warnings.warn(f"{path}: damaged, and made again", stacklevel=2)
+            path.unlink(missing_ok=True)
 
 
 def what_is_seen_by(settings: Settings) -> dict[str, Any]:

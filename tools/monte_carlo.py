@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import shutil
 import time
@@ -21,6 +20,7 @@ from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
 from polemap.map.landmark_map import PoleMap
+from polemap.parsing.json_text import read_json
 from polemap.settings import Settings
 from polemap.tools.looking import Looked, Source
 from polemap.tools.machine import describe_machine
@@ -169,5 +169,5 @@ def _read_metrics(path: Path) -> dict[str, Any]:
             return {key: back(item) for key, item in value.items()}
         return math.nan if value is None else value
 
-    metrics: dict[str, Any] = back(json.loads(path.read_text(encoding="utf-8")))
+    metrics: dict[str, Any] = back(read_json(path))
     return metrics

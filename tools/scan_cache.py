@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,8 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.parsing.arrays import read_arrays
+from polemap.parsing.errors import named
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher
 
@@ -121,12 +122,16 @@ def write_scans(path: Path, raw: RawScans) -> None:
 def read_scans(path: Path) -> RawScans | None:
     """What `write_scans` kept; None if it is not there or cannot be read."""
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            data = {name: kept[name] for name in kept.files}
-    except (OSError, ValueError, EOFError, BadZipFile):
+        with named(path, InputError, "kept part of a drive"):
+            return _scans(read_arrays(path))
+    except InputError:
         return None
+
+
+def _scans(data: Mapping[str, NDArray[Any]]) -> RawScans | None:
     if int(data.get("format", np.array(0))) != FORMAT:
         return None
+    _check_rows(data)
     ends = np.concatenate([[0], np.cumsum(data["counts"])])
     free_ends = np.concatenate([[0], np.cumsum(np.maximum(data["bins"], 0))])
     scans = []
@@ -155,6 +160,27 @@ def read_scans(path: Path) -> RawScans | None:
             )
         )
     return RawScans(tuple(scans), data["spent"])
+
+
+def _check_rows(data: Mapping[str, NDArray[Any]]) -> None:
+    """Every array has the rows that the counts promise.
+
+    Raises:
+        ValueError: one has not.
+    """
+    scans, poles = len(data["stamps"]), int(data["counts"].sum())
+    free = int(np.maximum(data["bins"], 0).sum())
+    shapes = {
+        "stamps": (scans, 2), "counts": (scans,), "bins": (scans,), "sector": (scans, 5),
+        "spent": (scans, len(STAGES)), "free": (free,), "points": (poles, 2),
+        "covariance": (poles, 2, 2), "width": (poles,), "existence": (poles,), "height": (poles,),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        whole = name in ("counts", "bins")
+        if data[name].shape != shape or data[name].dtype != (np.int64 if whole else np.float64):
+            raise ValueError(f"{name} is {data[name].dtype} {data[name].shape}, not {shape}")
+    if (data["counts"] < 0).any() or not np.isfinite(data["stamps"]).all():
+        raise ValueError("a scan without a stamp, or of less than no poles")
 
 
 def _sector(view: VisibleRegion | None) -> list[float]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import yaml
 
+from polemap.parsing.errors import named
+from polemap.parsing.text import read_text
+from polemap.parsing.yaml_text import LARGEST_BYTES, parse_yaml
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.parameters import Car
 
@@ -34,10 +36,8 @@ def load_car(name_or_file: str | Path) -> Car:
     path = Path(text)
     if path.suffix not in (".yaml", ".yml"):
         raise VehicleError(f"no car {text}; known are {', '.join(car_names())}, or give a .yaml")
-    try:
-        content = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise VehicleError(f"{path}: cannot be read as a car file ({error})") from error
+    with named(path, VehicleError, "car file"):
+        content = read_text(path, LARGEST_BYTES)
     return parse_car(content, str(path))
 
 
@@ -47,10 +47,8 @@ def parse_car(content: str, place: str) -> Car:
     Raises:
         VehicleError: not YAML, an unknown or a missing key, or a value out of range.
     """
-    try:
-        tree: Any = yaml.safe_load(content)
-    except yaml.YAMLError as error:
-        raise VehicleError(f"{place}: not a YAML file: {error}") from error
+    with named(place, VehicleError, "car file"):
+        tree = parse_yaml(content)
     if not isinstance(tree, dict):
         raise VehicleError(f"{place}: a car file holds `name: value` lines")
     known = {item.name for item in fields(Car)}

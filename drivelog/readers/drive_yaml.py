@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from polemap.drivelog.errors import InputError
+from polemap.parsing.errors import named
+from polemap.parsing.yaml_text import read_yaml
 
 _Finite = Field(allow_inf_nan=False)
 
@@ -92,13 +93,8 @@ def read_drive_yaml(path: Path) -> DriveYaml:
     Raises:
         InputError: unreadable, no YAML, a key missing or a value out of its range.
     """
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        detail = " ".join(str(error).split())
-        raise InputError(f"{path}: not YAML ({detail[:120]})") from error
+    with named(path, InputError, "drive.yaml"):
+        values = read_yaml(path)
     if not isinstance(values, dict):
         raise InputError(f"{path}: holds no keys; see the plain drive folder in docs/drives.md")
     try:

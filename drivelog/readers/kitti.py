@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
+from polemap.parsing import text as parsing
+from polemap.parsing.errors import named
 from polemap.stereo.rig import Mounting, StereoRig
 
 Floats = NDArray[np.float64]
@@ -54,10 +56,8 @@ def read_text(path: Path) -> str:
     Raises:
         InputError: it cannot be read.
     """
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
+    with named(path, InputError):
+        return parsing.read_text(path, 1000 * parsing.MEGABYTE)
 
 
 def read_calibration(path: Path) -> dict[str, Floats]:

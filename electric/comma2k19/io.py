@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from polemap.drivelog.errors import InputError
 from polemap.electric.signals import SignalLog
+from polemap.parsing.csv_text import check_csv
+from polemap.parsing.errors import short
 from polemap.vehicle.errors import VehicleError
 
 Floats = NDArray[np.float64]
@@ -103,9 +105,10 @@ def _read(path: Path, names: tuple[str, ...]) -> tuple[Floats, Floats]:
     if not path.is_file():
         raise InputError(f"{path}: no such file; a comma2k19 segment has it")
     try:
+        check_csv(path)
         table: Any = pd.read_csv(path)
     except Exception as error:  # pandas raises whatever it meets
-        raise InputError(f"{path}: cannot be read as CSV ({error})") from error
+        raise InputError(f"{path}: cannot be read as CSV ({short(error)})") from error
     for name in ("stamp_s", *names):
         if name not in table.columns:
             raise InputError(f"{path}: no column {name}")

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.tum import read_tum
+from polemap.parsing.csv_text import read_rows
+from polemap.parsing.errors import named
+from polemap.parsing.json_text import read_json
+from polemap.parsing.yaml_text import read_yaml
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -169,24 +170,18 @@ def _differences(path: Path, configs: list[Mapping[str, Any]]) -> tuple[str, ...
 
 
 def _read_config(path: Path) -> Mapping[str, Any]:
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing; is this a folder of 'polemap localize'?") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path}: cannot be read as YAML ({_short(error)})") from None
+    _check_there(path)
+    with named(path, InputError, "run configuration"):
+        tree = read_yaml(path)
     if not isinstance(tree, dict):
         raise InputError(f"{path}: expected settings, found {type(tree).__name__}")
     return tree
 
 
 def _read_metrics(path: Path) -> Mapping[str, Any]:
-    try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing; is this a folder of 'polemap localize'?") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({_short(error)})") from None
+    _check_there(path)
+    with named(path, InputError, "metrics file"):
+        metrics = read_json(path)
     if not isinstance(metrics, dict):
         raise InputError(f"{path}: expected an object, found {type(metrics).__name__}")
     return metrics
@@ -194,13 +189,9 @@ def _read_metrics(path: Path) -> Mapping[str, Any]:
 
 def _read_table(path: Path) -> dict[str, Floats | list[str]]:
     """A CSV file by columns; a column of numbers (or empty cells) becomes an array."""
-    try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.reader(stream))
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing; is this a folder of 'polemap localize'?") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV ({_short(error)})") from None
+    _check_there(path)
+    with named(path, InputError, "table"):
+        rows = read_rows(path)
     if not rows:
         raise InputError(f"{path}: is empty, a header line was expected")
     header, body = rows[0], [row for row in rows[1:] if row]
@@ -217,5 +208,6 @@ def _column(cells: list[str]) -> Floats | list[str]:
         return cells
 
 
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:120]
+def _check_there(path: Path) -> None:
+    if not path.exists():
+        raise InputError(f"{path}: missing; is this a folder of 'polemap localize'?")

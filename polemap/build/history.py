@@ -21,6 +21,8 @@ from polemap.build.existence import Evidence
 from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.errors import InputError
 from polemap.map.landmark_map import PoleMap
+from polemap.parsing.errors import ParsingError, short
+from polemap.parsing.json_text import parse_json
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -156,15 +158,15 @@ def _entries(text: str, pole: int) -> list[Mapping[str, Any]]:
     if not text.strip():
         return []
     try:
-        entries = json.loads(text)
+        entries = parse_json(text)
         for entry in entries:
             float(entry["start_s"]), str(entry["drive"]), float(entry["seen"])
             float(entry["looks"])
             if any(len(v) not in (_TRAVERSAL_BEFORE, len(_TRAVERSAL)) for v in entry["passes"]):
                 raise ValueError("a pass has another number of values")
-    except (ValueError, TypeError, KeyError) as error:
+    except (ParsingError, ValueError, TypeError, KeyError, OverflowError) as error:
         raise InputError(
-            f"pole map: the history of pole {pole} cannot be read ({error})"
+            f"pole map: the history of pole {pole} cannot be read ({short(error)})"
         ) from error
     return list(entries)
 

@@ -28,10 +28,14 @@ from polemap.extras import check_installed, need
 from polemap.map.formats import geojson, opendrive, osm, qgis
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.landmark_map import PoleMap
+from polemap.parsing.errors import ParsingError, named
+from polemap.parsing.json_text import parse_json, read_json
+from polemap.parsing.text import MEGABYTE, read_bytes
 
 # of a disk that is full or may not be written; those of pyogrio and osmium are RuntimeErrors
 _LIBRARY_ERRORS = (OSError, RuntimeError, sqlite3.Error)
 
+_SQLITE = b"SQLite format 3\0"
 LAYER = "poles"
 DOUBTFUL = "doubtful"
 
@@ -109,7 +113,8 @@ def read_map(
         known = ", ".join(sorted(_READERS))
         raise InputError(f"{path}: a map ends in one of {known}")
     try:
-        pole_map = _READERS[suffix](path, frame)
+        with named(path, InputError, "map"):
+            pole_map = _READERS[suffix](path, frame)
     except InputError as error:
         if str(path) in str(error):
             raise
@@ -159,6 +164,10 @@ def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
 
 
 def _read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
+    with path.open("rb") as file:
+        if file.read(len(_SQLITE)) != _SQLITE:
+            # the library would look for any other format that it knows, and follow what that names
+            raise InputError(f"{path}: not a GeoPackage (no SQLite database)")
     try:
         # tables without geometry (styles, say) are no layers of poles
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
@@ -177,8 +186,8 @@ def _read_layer(path: Path, layer: str, frame: EarthFrame | None) -> PoleMap:
     if not isinstance(table, geopandas.GeoDataFrame) or (table.geom_type != "Point").any():
         raise InputError(f"{path}: layer '{layer}' does not hold points only")
     try:
-        own = EarthFrame.from_dict(json.loads(ours)["frame"]) if ours else None
-    except (ValueError, KeyError, TypeError) as error:
+        own = EarthFrame.from_dict(parse_json(ours)["frame"]) if ours else None
+    except (ParsingError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: the frame in its metadata cannot be read ({error})") from error
     if own is None and table.crs is not None:
         if table.crs.is_geographic and len(table):
@@ -208,9 +217,9 @@ def _write_geojson(pole_map: PoleMap, path: Path) -> None:
 
 def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: not JSON ({str(error)[:80]})") from error
+        document = read_json(path)
+    except ParsingError as error:
+        raise InputError(f"{path}: {error}") from error
     return geojson.from_document(document, frame)
 
 
@@ -259,7 +268,7 @@ def _write_osm(pole_map: PoleMap, path: Path) -> None:
 
 
 def _read_osm(path: Path, frame: EarthFrame | None) -> PoleMap:
-    return osm.from_xml(path.read_bytes(), frame)
+    return osm.from_xml(read_bytes(path, 1000 * MEGABYTE), frame)
 
 
 def _write_pbf(pole_map: PoleMap, path: Path) -> None:

@@ -38,7 +38,7 @@ def test_a_file_of_ones_own(tmp_path: Path, street: Scenario) -> None:
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("name: [", InputError, r"mine.yaml line \d+: not valid YAML"),
+        ("name: [", InputError, r"mine.yaml: not YAML \(line \d+"),
         ("- 1", InputError, "expected a mapping"),
         ("name: x", ConfigError, "route: Field required"),
         (
@@ -117,5 +117,5 @@ def test_the_light_can_be_changed(street: Scenario) -> None:
 def test_a_file_that_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(InputError, match=r"mine.yaml: cannot be read"):
+    with pytest.raises(InputError, match=r"mine.yaml: is not UTF-8 text"):
         load_scenario(path)

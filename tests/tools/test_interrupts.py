@@ -16,9 +16,8 @@ import pytest
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import write_map
-from polemap.simulate.point_drive import PointNoise
-from polemap.simulate.pole_street import pole_street
 from polemap.tools import cli
+from tests.localize.point_drives import street_drive
 from tests.pole_maps import plain_map
 
 POLEMAP = [sys.executable, "-m", "polemap"]
@@ -26,9 +25,9 @@ POLEMAP = [sys.executable, "-m", "polemap"]
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = pole_street(2, duration_s=8.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    made = street_drive(2, duration_s=8.0)
     folder = tmp_path_factory.mktemp("street")
-    write_drive(replace(made.drive, scans=made.scans), folder / "drive")
+    write_drive(made.drive, folder / "drive")
     write_map(made.pole_map, folder / "map.gpkg")
     return folder
 

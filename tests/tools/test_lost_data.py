@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,9 +11,8 @@ import pytest
 from polemap.drivelog.atomic import reserved
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import write_map
-from polemap.simulate.point_drive import PointNoise
-from polemap.simulate.pole_street import pole_street
 from polemap.tools import cli
+from tests.localize.point_drives import street_drive
 
 FEW = ["--set", "localize.particles=150"]
 
@@ -22,9 +20,9 @@ FEW = ["--set", "localize.particles=150"]
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a drive, a map, a run, a settings file and a signal log."""
-    street = pole_street(2, duration_s=8.0, poles_per_m2=0.02, noise=PointNoise(gnss_m=0.7))
+    street = street_drive(2, duration_s=8.0)
     folder = tmp_path_factory.mktemp("made")
-    write_drive(replace(street.drive, scans=street.scans), folder / "in" / "drive")
+    write_drive(street.drive, folder / "in" / "drive")
     write_map(street.pole_map, folder / "in" / "map.gpkg")
     (folder / "in" / "settings.yaml").write_text("localize: {particles: 150}\n")
     (folder / "in" / "log.csv").write_text("stamp_s,vx_mps\n" + "0,1\n1,1\n")

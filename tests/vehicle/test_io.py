@@ -27,7 +27,7 @@ def test_a_file_of_the_users_own(tmp_path: Path) -> None:
     ("content", "message"),
     [
         ("[1, 2]", "holds `name: value`"),
-        ("{", "not a YAML file"),
+        ("{", "not YAML"),
         ("name: x\nwings: 2\n", "unknown key wings"),
         ("name: x\nsource: y\n", "missing"),
         (dump_car(load_car("coms")).replace("380.0", "-1.0"), "mass_kg is -1.0"),

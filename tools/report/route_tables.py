@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.spatial import KDTree
 
 from polemap.evaluation.laps import road_length_m
 from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.parsing.errors import ParsingError
+from polemap.parsing.yaml_text import read_yaml
 from polemap.tools.report.run_tables import accuracy_table, event_table, run_spread, timing_table
 from polemap.tools.report.tables import Table, number, span, with_spread
 
@@ -284,8 +285,8 @@ def route_type(result: RouteResult) -> str:
         if path is None or not (path / "drive.yaml").is_file():
             continue
         try:
-            head: Any = yaml.safe_load((path / "drive.yaml").read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError):
+            head: Any = read_yaml(path / "drive.yaml")
+        except (OSError, ParsingError):
             continue
         for key in ("type", "scenario"):
             if isinstance(head, dict) and isinstance(head.get(key), str):

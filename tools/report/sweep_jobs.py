@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -22,6 +21,9 @@ from polemap.evaluation.runs.io import Run
 from polemap.localize.replay import replay
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
+from polemap.parsing.arrays import read_arrays
+from polemap.parsing.errors import ParsingError, named
+from polemap.parsing.json_text import parse_json
 from polemap.settings import Settings
 from polemap.tools.looking import Source, read_looks, tracked
 from polemap.vehicle.trajectory import Trajectory
@@ -79,20 +81,28 @@ def read_result(path: Path, seed: int) -> Run:
     Raises:
         InputError: the file is damaged.
     """
+    with named(path, InputError, "kept part of a sweep"):
+        kept = read_arrays(path)
+        metrics = parse_json(str(kept["metrics"]))
+        if not isinstance(metrics, dict):
+            raise ParsingError("its metrics are no object")
+        return Run(
+            seed=seed,
+            pf=Trajectory(kept["pf_stamp_s"], kept["pf_poses"]),
+            kf=Trajectory(kept["kf_stamp_s"], kept["kf_poses"]),
+            health={},
+            timings={},
+            metrics=metrics,
+        )
+
+
+def is_whole(job: ReplayJob) -> bool:
+    """Whether what a replay job kept can be read."""
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            return Run(
-                seed=seed,
-                pf=Trajectory(kept["pf_stamp_s"], kept["pf_poses"]),
-                kf=Trajectory(kept["kf_stamp_s"], kept["kf_poses"]),
-                health={},
-                timings={},
-                metrics=json.loads(str(kept["metrics"])),
-            )
-    except (OSError, ValueError, EOFError, KeyError, BadZipFile):
-        raise InputError(
-            f"{path}: this kept part of a sweep is damaged; delete it and rerun"
-        ) from None
+        read_result(Path(job.target), job.seed)
+    except InputError:
+        return False
+    return True
 
 
 def thinned(run: Run) -> Run:

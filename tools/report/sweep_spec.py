@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from polemap.drivelog.errors import ConfigError
+from polemap.parsing.yaml_text import parse_yaml
 from polemap.settings import Settings, load_settings
 
 RATES = {"full": 1, "half": 2, "third": 3, "quarter": 4, "fifth": 5}
@@ -57,7 +58,7 @@ def parse_sweep(text: str) -> Sweep:
     values = []
     for item in items:
         load_settings(None, [f"{key}={item}"])
-        value = yaml.safe_load(item)
+        value = parse_yaml(item)
         number = float(value) if isinstance(value, int | float) else None
         values.append(SweepValue(item, number, 1, ((key, value),)))
     return Sweep(name, tuple(values))

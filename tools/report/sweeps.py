@@ -18,8 +18,17 @@ from polemap.evaluation.route import measure
 from polemap.evaluation.routes import Recording
 from polemap.evaluation.runs.io import Run
 from polemap.settings import Settings
-from polemap.tools.looking import LookJob, Source, do_look, look_jobs, run_kept, what_is_seen_by
-from polemap.tools.report.sweep_jobs import ReplayJob, do_replay, read_result, thinned
+from polemap.tools.looking import (
+    LookJob,
+    Source,
+    do_look,
+    drop_damaged,
+    is_readable,
+    look_jobs,
+    run_kept,
+    what_is_seen_by,
+)
+from polemap.tools.report.sweep_jobs import ReplayJob, do_replay, is_whole, read_result, thinned
 from polemap.tools.report.sweep_spec import Sweep, SweepValue, settings_of
 from polemap.tools.scan_cache import drive_fingerprint, fingerprint
 
@@ -77,9 +86,11 @@ def run_sweeps(
     if not plans:
         raise InputError("--sweep: no route can be replayed; " + "; ".join(notes))
     looks = list({job.target: job for plan in plans for job in plan.looks}.values())
+    drop_damaged(looks, is_readable)
     with progress(sum(job.steps for job in looks), "looking for poles") as advance:
         run_kept(looks, do_look, workers, advance)
     replays = list({job.target: job for plan in plans for job in plan.replays()}.values())
+    drop_damaged(replays, is_whole)
     with progress(len(replays), "replaying the sweep") as advance:
         run_kept(replays, do_replay, workers, advance)
     swept = []

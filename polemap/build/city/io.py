@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import json
 import re
-import zipfile
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polemap.build.drive_observations import DriveObservations
 from polemap.build.georeference import MapDetections, ScanViews
 from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.parsing.arrays import read_arrays
+from polemap.parsing.errors import named
+from polemap.parsing.json_text import parse_json
 
 _VERSION = 3
 _SCALARS = ("drive", "frame", "views", "without_pose")
@@ -49,30 +54,34 @@ def read_checkpoint(path: Path, key: str) -> DriveObservations | None:
     if not path.is_file():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
-            head = json.loads(str(file["head"]))
-            if head["version"] != _VERSION or head["key"] != key:
-                return None
-            views = ScanViews(**{f.name: file[f"views.{f.name}"] for f in fields(ScanViews)})
-            columns = {
-                f.name: file[f"detections.{f.name}"]
-                for f in fields(MapDetections)
-                if f.name not in _SCALARS
-            }
-            detections = MapDetections(
-                drive=head["drive"],
-                frame=EarthFrame.from_dict(head["frame"]),
-                views=views,
-                without_pose=int(head["without_pose"]),
-                **columns,
-            )
-            landmarks = TraversalLandmarks(
-                **{f.name: file[f"landmarks.{f.name}"] for f in fields(TraversalLandmarks)}
-            )
-            return DriveObservations(detections, landmarks, file["rows"], file["cannot_link"])
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        with named(path, InputError, "checkpoint"):
+            return _observations(read_arrays(path), key)
+    except InputError:
         # a checkpoint that cannot be read costs no more than computing it again
         return None
+
+
+def _observations(file: Mapping[str, NDArray[Any]], key: str) -> DriveObservations | None:
+    head = parse_json(str(file["head"]))
+    if head["version"] != _VERSION or head["key"] != key:
+        return None
+    views = ScanViews(**{f.name: file[f"views.{f.name}"] for f in fields(ScanViews)})
+    columns = {
+        f.name: file[f"detections.{f.name}"]
+        for f in fields(MapDetections)
+        if f.name not in _SCALARS
+    }
+    detections = MapDetections(
+        drive=head["drive"],
+        frame=EarthFrame.from_dict(head["frame"]),
+        views=views,
+        without_pose=int(head["without_pose"]),
+        **columns,
+    )
+    landmarks = TraversalLandmarks(
+        **{f.name: file[f"landmarks.{f.name}"] for f in fields(TraversalLandmarks)}
+    )
+    return DriveObservations(detections, landmarks, file["rows"], file["cannot_link"])
 
 
 def clear(folder: Path) -> None:

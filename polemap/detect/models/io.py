@@ -11,6 +11,9 @@ from polemap.detect.classifier import PoleClassifier
 from polemap.detect.features import NAMES
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError
+from polemap.parsing.errors import named, short
+from polemap.parsing.json_text import read_json
+from polemap.parsing.text import MEGABYTE
 
 _FORMAT = "polemap pole classifier"
 _VERSION = 1
@@ -25,15 +28,11 @@ def read_classifier(name_or_path: str) -> PoleClassifier:
     path = Path(name_or_path)
     if path.suffix != ".json" and path.name == name_or_path:
         path = Path(__file__).parent / f"{name_or_path}.json"
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
+    if not path.is_file():
         built_in = sorted(p.stem for p in Path(__file__).parent.glob("*.json"))
-        raise InputError(
-            f"{path}: no such classifier ({error.strerror}); built in: {', '.join(built_in)}"
-        ) from error
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON ({error})") from error
+        raise InputError(f"{path}: no such classifier; built in: {', '.join(built_in)}")
+    with named(path, InputError, "classifier"):
+        tree = read_json(path, 10 * MEGABYTE)
     if not isinstance(tree, dict) or tree.get("format") != _FORMAT:
         raise InputError(f"{path}: is not a '{_FORMAT}' file")
     if tree.get("format_version") != _VERSION:
@@ -45,8 +44,8 @@ def read_classifier(name_or_path: str) -> PoleClassifier:
             np.array([float(row[key]) for row in rows]) for key in ("mean", "scale", "weight")
         )
         bias, origin = float(tree["bias"]), dict(tree["origin"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: a value is missing or not a number ({error})") from error
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{path}: a value is missing or not a number ({short(error)})") from error
     if names != NAMES:
         strange = sorted(set(names) ^ set(NAMES)) or ["their order"]
         raise InputError(

@@ -25,6 +25,8 @@ from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.landmark_map import PoleMap
 
 Floats = NDArray[np.float64]
+# further than the earth reaches round
+LARGEST_M = 1e9
 
 
 def to_document(pole_map: PoleMap) -> dict[str, Any]:
@@ -77,13 +79,18 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
     skipped = len(features) - len(points)
     positions = np.array([_position(feature, row) for row, feature in enumerate(points)])
     positions = positions.reshape(-1, 2)
-    properties = [feature.get("properties") or {} for feature in points]
+    properties = [_properties(feature, row) for row, feature in enumerate(points)]
     ours = document.get("polemap")
     notes = (f"{skipped} features that are not points were left out",) if skipped else ()
     if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
         own_frame = EarthFrame.from_dict(ours["frame"])
         if {"east_m", "north_m"} <= set(properties[0] if properties else ()):
-            positions = np.array([[p.get("east_m"), p.get("north_m")] for p in properties], float)
+            positions = np.array(
+                [
+                    [_metres(p, name, row) for name in ("east_m", "north_m")]
+                    for row, p in enumerate(properties)
+                ]
+            )
         elif own_frame.is_utm:
             positions = grid_from_geographic(own_frame, positions[:, 1], positions[:, 0])
         pole_map = _build(own_frame, positions, properties, notes)
@@ -120,13 +127,37 @@ def _geometry(feature: Any) -> dict[str, Any]:
 
 def _position(feature: Mapping[str, Any], row: int) -> list[float]:
     coordinates: Any = _geometry(feature).get("coordinates")
-    try:
+    position = []
+    if isinstance(coordinates, list) and all(map(_is_number, coordinates[:2])):
         position = [float(value) for value in coordinates[:2]]
-    except (TypeError, ValueError):
-        position = []
     if len(position) != 2 or not all(math.isfinite(value) for value in position):
         raise InputError(f"feature {row}: coordinates {str(coordinates)[:40]} are no position")
     return position
+
+
+def _properties(feature: Mapping[str, Any], row: int) -> Mapping[str, Any]:
+    properties = feature.get("properties")
+    if properties is None:
+        return {}
+    if not isinstance(properties, dict):
+        raise InputError(f"feature {row}: properties {str(properties)[:40]} are no object")
+    return properties
+
+
+def _metres(properties: Mapping[str, Any], name: str, row: int) -> float:
+    value: Any = properties.get(name)
+    if not _is_number(value) or not abs(value) <= LARGEST_M:
+        raise InputError(
+            f"feature {row}: {name} is '{str(value)[:40]}', not a number of metres up to "
+            f"{LARGEST_M:g}"
+        )
+    return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value of JSON is a number that an array can hold."""
+    whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+    return whole or isinstance(value, float)
 
 
 def _build(
@@ -140,9 +171,9 @@ def _build(
     extra: dict[str, NDArray[Any]] = {}
     for name in sorted(names):
         column = [entry.get(name) for entry in properties]
-        numeric = all(value is None or isinstance(value, int | float) for value in column)
+        numeric = all(v is None or isinstance(v, bool) or _is_number(v) for v in column)
         if name in KNOWN and not numeric:
-            value = next(v for v in column if v is not None and not isinstance(v, int | float))
+            value = next(v for v in column if v is not None and not _is_number(v))
             raise InputError(f"property {name} is '{str(value)[:40]}', not a number")
         if numeric:
             whole = all(isinstance(value, int) for value in column)

@@ -16,6 +16,8 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.map.formats import geojson
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.landmark_map import PoleMap
+from polemap.parsing.json_text import parse_json
+from polemap.parsing.text import decoded
 
 Floats = NDArray[np.float64]
 
@@ -70,8 +72,8 @@ def from_table(table: pa.Table, frame: EarthFrame | None) -> PoleMap:
     """
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
     try:
-        geo = json.loads(metadata.get("geo", "{}"))
-        ours = json.loads(metadata.get("polemap", "{}"))
+        geo = parse_json(decoded(metadata.get("geo", b"{}")))
+        ours = parse_json(decoded(metadata.get("polemap", b"{}")))
         name = geo.get("primary_column", "geometry")
         crs = geo.get("columns", {}).get(name, {}).get("crs")
     except (ValueError, AttributeError) as error:

@@ -19,6 +19,7 @@ from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.extras import need
 from polemap.map.formats.geojson import from_inventory
 from polemap.map.landmark_map import PoleMap
+from polemap.parsing.text import decoded
 
 Floats = NDArray[np.float64]
 
@@ -139,6 +140,7 @@ def from_xml(data: bytes, frame: EarthFrame | None) -> PoleMap:
     Raises:
         InputError: no OpenStreetMap XML, or no such node in it.
     """
+    decoded(data)
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise InputError("a document type or entity stands in it; OpenStreetMap files have none")
     try:
