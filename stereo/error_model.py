@@ -1,4 +1,4 @@
-"""How far a disparity may be off, and what that means for a point on the ground.
+"""How far a disparity may be off.
 
 The table was measured with `python -m benchmarks.stereo_accuracy KITTI_2015 --calibrate` on every
 second pair of the training set (default settings of the census matcher); the other pairs are the
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from polemap.stereo.errors import StereoError
 from polemap.stereo.matching_types import Image
-from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 
@@ -93,32 +92,3 @@ def _place(grid: Floats, value: Floats) -> tuple[NDArray[np.int64], Floats]:
     index = np.clip(np.searchsorted(grid, value) - 1, 0, len(grid) - 2)
     share = (value - grid[index]) / (grid[index + 1] - grid[index])
     return index, np.clip(share, 0.0, 1.0)
-
-
-def range_sd_m(rig: StereoRig, disparity_px: Floats, disparity_sd_px: Floats) -> Floats:
-    """Standard deviation of depth: depth^2 / (focal length * baseline) * sd of disparity."""
-    depth = rig.depth_m(disparity_px)
-    return np.asarray(depth**2 / (rig.focal_px * rig.baseline_m) * disparity_sd_px)
-
-
-def ground_covariance_m2(
-    rig: StereoRig,
-    u_px: Floats,
-    v_px: Floats,
-    disparity_px: Floats,
-    disparity_sd_px: Floats,
-    column_sd_px: Floats | float = 0.5,
-) -> Floats:
-    """Covariance of vehicle x (range) and y (lateral) of a point seen at (u, v), `(..., 2, 2)`.
-
-    A disparity error moves the point along its ray by -point / disparity; a column error moves it
-    across by depth / focal length. Both to first order and independent of each other.
-    """
-    points = rig.camera_points(u_px, v_px, disparity_px)
-    disparity = np.asarray(disparity_px, dtype=np.float64)[..., np.newaxis]
-    along = points / disparity * np.asarray(disparity_sd_px, dtype=np.float64)[..., np.newaxis]
-    across = np.zeros_like(points)
-    across[..., 0] = points[..., 2] / rig.focal_px * np.asarray(column_sd_px)
-    rotation = rig.vehicle_from_camera.rotation()
-    steps = np.stack([along @ rotation.T, across @ rotation.T], axis=-1)[..., :2, :]
-    return np.asarray(steps @ np.swapaxes(steps, -1, -2))

@@ -118,9 +118,6 @@ class BirdsEye:
         self._maps = cv2.convertMaps(self._column, self._row, cv2.CV_16SC2)
         inside = (self._row >= 0) & (self._row <= camera.height_px - 1)
         self.seen = inside & (self._column >= 0) & (self._column <= camera.width_px - 1)
-        # metres of road under one pixel of the image: how sharp the picture can be there
-        near = camera.road_to_pixel(grid.to_road(rows, columns + 1.0))
-        self.pixels_across = np.abs(near[..., 1] - pixels[..., 1]) / grid.across_m
 
     def warp(self, image: Grey) -> Grey:
         """The road from above, `grid.shape`.
