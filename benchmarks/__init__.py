@@ -1,6 +1,1 @@
-"""Benchmarks that anyone can run: `python -m benchmarks [NAME...]`."""
-
-from pathlib import Path
-
-# recordings lie beside the project; what is not there is left out
-RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "data"
+"""Benchmarks by room: `python -m benchmarks [NAME...]`, NAME as in `stereo.speed`."""

@@ -6,15 +6,13 @@ on drives of points; prints each table and writes the first kind to `benchmarks/
 
 from __future__ import annotations
 
-import json
 import sys
-from pathlib import Path
 
-from benchmarks import particle_filter_recovery
-from benchmarks.output_filter import show
-from benchmarks.output_filter_faults import faults
+from benchmarks.harness import FOLDER, show, write_results
+from benchmarks.localize import particle_filter_recovery
+from benchmarks.localize.output_filter_faults import faults
 
-RESULTS = Path(__file__).parent / "campaign.json"
+RESULTS = FOLDER / "campaign.json"
 
 
 def main(seeds: int) -> None:
@@ -25,9 +23,7 @@ def main(seeds: int) -> None:
     }
     for title, table in tables.items():
         show(title, table)
-    part = RESULTS.with_suffix(".part")
-    part.write_text(json.dumps({"seeds": seeds, **tables}, indent=1))
-    part.replace(RESULTS)
+    write_results(RESULTS, {"seeds": seeds, **tables})
     print("\nparticle filter")
     particle_filter_recovery.main(seeds, list(particle_filter_recovery.CASES))
 

@@ -1,6 +1,6 @@
 """How far a disparity may be off.
 
-The table was measured with `python -m benchmarks.stereo_accuracy KITTI_2015 --calibrate` on every
+The table was measured with `python -m benchmarks.stereo.accuracy KITTI_2015 --calibrate` on every
 second pair of the training set (default settings of the census matcher); the other pairs are the
 test. It includes the error of that ground truth itself, so it is rather too large than too small.
 Outliers are left out of it: how likely they are, `stereo/trust.py` says.

@@ -3,7 +3,7 @@
 Two signs, both cheap. Where the views contradict each other or have holes, what they agree upon
 nearby is often wrong, too; and a disparity that leaves the others of its column is rarely right,
 while a pole, a wall and the road keep to theirs. (Leaving the others of its row is no such sign:
-thin poles do.) The coefficients were fitted with `python -m benchmarks.stereo_accuracy KITTI_2015
+thin poles do.) The coefficients were fitted with `python -m benchmarks.stereo.accuracy KITTI_2015
 --calibrate --every 2`, for each matcher at its default settings; the other pairs are the test.
 """
 

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from benchmarks.harness import compared, interleaved, summary
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import CAMERA, YAW_RATE, Estimator, Inputs
 from polemap.electric.estimators.registry import make_estimator
@@ -24,16 +25,11 @@ def run() -> dict[str, dict[str, float]]:
     """Median and tails of a step (predict, yaw rate, pictures when due), and a log's pace."""
     car, config = load_car("coms"), EstimatorConfig()
     times = {name: _steps(make_estimator(name, car, config)) for name in NAMES}
-    reference = float(np.median(times["clones"]))
-    result = {}
-    for name, each in times.items():
-        median, p95, p99 = np.percentile(each, [50, 95, 99])
-        result[f"estimator_step_{name}"] = {
-            "median_ms": float(median),
-            "p95_ms": float(p95),
-            "p99_ms": float(p99),
-            "ratio_to_clones": float(median) / reference,
-        }
+    steps = compared(times, "clones")
+    result = {
+        f"estimator_step_{name}": {**steps[name], **summary(each, 99)}
+        for name, each in times.items()
+    }
     result["lane_frame_640x480"] = _lane()
     drive = drive_with_camera(car, Scene(7.0, LOG_S), config, np.random.default_rng(0))
     begin = time.perf_counter()
@@ -56,17 +52,12 @@ def _lane() -> dict[str, float]:
     rng = np.random.default_rng(0)
     image = np.where(painted, 180.0, 90.0) + 5.0 * rng.standard_normal((480, 640))
     grey = np.clip(image, 0, 255).astype(np.uint8)
-    finder, spent = LaneFinder(camera, rng=rng), []
-    for _ in range(100):
-        begin = time.perf_counter()
-        finder.find(grey, 0.0, 0.0)
-        spent.append((time.perf_counter() - begin) * 1e3)
-    median, p95 = np.percentile(spent, [50, 95])
-    return {"median_ms": float(median), "p95_ms": float(p95)}
+    finder = LaneFinder(camera, rng=rng)
+    return summary(interleaved({"find": lambda: finder.find(grey, 0.0, 0.0)}, 100)["find"])
 
 
-def _steps(estimator: Estimator) -> np.ndarray:
-    """Milliseconds of each step, arrivals and captures included."""
+def _steps(estimator: Estimator) -> list[float]:
+    """Seconds of each step, arrivals and captures included."""
     rng = np.random.default_rng(0)
     speeds = 8.0 + 4.0 * np.sin(np.arange(STEPS) * 2e-4)
     inputs = [Inputs(0.05, v) for v in speeds.tolist()]
@@ -84,4 +75,4 @@ def _steps(estimator: Estimator) -> np.ndarray:
         if k % FRAME == 0:
             capture(CAMERA, stamp)
         spent[k] = clock() - begin
-    return spent[WARM:] * 1e3
+    return list(map(float, spent[WARM:]))

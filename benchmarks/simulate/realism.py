@@ -3,7 +3,8 @@
 The same matcher, with the same settings, on KITTI 2015 (LiDAR truth) and on simulated pairs of
 every world (exact truth) in the same geometry. On both, pixels count whose true disparity is
 known and which both cameras see. What of the sub-pixel error is the matcher's and what lies between
-pictures and truth shows a registration of windows by least squares (`benchmarks.registration`).
+pictures and truth shows a registration of windows by least squares
+(`benchmarks.simulate.registration`).
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import RECORDINGS
-from benchmarks.registration import Windows, register, together
-from benchmarks.stereo_pairs import read_grey, read_truth
+from benchmarks.harness import RECORDINGS
+from benchmarks.simulate.registration import Windows, register, together
+from benchmarks.stereo.pairs import read_grey, read_truth
 from polemap.simulate.config import RenderConfig, SimulateConfig, kitti_camera
 from polemap.simulate.drive import Studio, make_plan
 from polemap.simulate.render import View

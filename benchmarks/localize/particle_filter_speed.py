@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness import interleaved, summary
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import OdometrySample
@@ -63,12 +64,6 @@ def _scan(stamp_s: float, world: PoleMap, pose: Floats, rng: np.random.Generator
     )
 
 
-def _figures(times_s: list[float]) -> dict[str, float]:
-    values = np.array(times_s) * 1e3
-    median, p95, p99 = np.percentile(values, [50, 95, 99])
-    return {"median_ms": float(median), "p95_ms": float(p95), "p99_ms": float(p99)}
-
-
 def update_times(updates: int = 400, seed: int = 0) -> list[float]:
     """Seconds of each full update at 22 Hz while creeping forward, so that the scene stays."""
     rng = np.random.default_rng(seed)
@@ -103,25 +98,19 @@ def assignment_times(rounds: int = 15) -> dict[str, list[float]]:
         "assignment": lambda: assign(costs, 0.0),
         "assignment_scipy_loop": lambda: assign(costs, 0.0, backend="scipy"),
     }
-    times: dict[str, list[float]] = {name: [] for name in work}
-    for _ in range(rounds):
-        for name, task in work.items():
-            begin = time.perf_counter()
-            task()
-            times[name].append(time.perf_counter() - begin)
-    return times
+    return interleaved(work, rounds)
 
 
 def run() -> dict[str, dict[str, float]]:
     """Median, p95 and p99 of the update and of the assignment, the latter as a ratio too."""
     result = {
-        f"particle_filter.{name}": _figures(times) for name, times in assignment_times().items()
+        f"particle_filter.{name}": summary(times, 99) for name, times in assignment_times().items()
     }
     loop = result["particle_filter.assignment_scipy_loop"]["median_ms"]
     for name in ("likelihood", "assignment"):
         figures = result[f"particle_filter.{name}"]
         figures["ratio_to_scipy_loop"] = figures["median_ms"] / loop
-    result["particle_filter.update_1000"] = _figures(update_times())
+    result["particle_filter.update_1000"] = summary(update_times(), 99)
     return result
 
 

@@ -1,12 +1,12 @@
 """How right disparities are, on pairs with ground truth.
 
-    python -m benchmarks.stereo_accuracy FOLDER... [--calibrate] [--every N]
+    python -m benchmarks.stereo.accuracy FOLDER... [--calibrate] [--every N]
 
 A FOLDER is a KITTI 2015 or 2012 `training` folder (or the one above it), a KITTI raw folder with
 LiDAR depth in `depth/`, or one with Middlebury scenes (teddy, cones: `*02.png`, `*06.png` and
 `disp*02.png`); without one the rendered poles are scored. OpenCV's variants stand beside the
 census matcher. `--calibrate` prints the tables of stereo/error_model.py and the laws of
-stereo/trust.py. `python -m benchmarks.stereo_curves` trades density against error.
+stereo/trust.py. `python -m benchmarks.stereo.curves` trades density against error.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import RECORDINGS
-from benchmarks.stereo_curves import fitted_law, signs
-from benchmarks.stereo_pairs import Pair, read_pairs
-from benchmarks.stereo_scenes import PoleScore, rendered_scene, score_poles
-from benchmarks.stereo_variants import variants
+from benchmarks.harness import RECORDINGS
+from benchmarks.stereo.curves import fitted_law, signs
+from benchmarks.stereo.pairs import Pair, read_pairs
+from benchmarks.stereo.scenes import PoleScore, rendered_scene, score_poles
+from benchmarks.stereo.variants import variants
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
 from polemap.stereo.matching import StereoMatcher, make_matcher
@@ -95,7 +95,7 @@ def trust_laws(pairs: list[Pair]) -> dict[str, TrustLaw]:
 
 
 def score_rendered(config: StereoConfig, seeds: range, **scene: float) -> dict[str, float]:
-    """Poles of `benchmarks/stereo_scenes.py`, both views."""
+    """Poles of `benchmarks/stereo/scenes.py`, both views."""
     matcher = make_matcher(config)
     sums = [PoleScore(), PoleScore()]
     wrong = known = 0

@@ -1,7 +1,8 @@
 """The output filter: time per event, what latency costs, and consistency.
 
-`run()` times it (for `python -m benchmarks`); `python -m benchmarks.output_filter` also prints the
-figures of docs/output_filter.md but those of faults (`benchmarks.output_filter_faults`).
+`run()` times it (for `python -m benchmarks`); `python -m benchmarks.localize.output_filter` also
+prints the figures of docs/output_filter.md but those of faults
+(`benchmarks.localize.output_filter_faults`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness import show, summary
 from polemap.evaluation.errors import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.output_filter.config import OutputConfig
@@ -54,11 +56,7 @@ def run() -> dict[str, dict[str, float]]:
                 (poses if kind else odometry).append(spent)
     result = {}
     for name, values in (("odometry", odometry), ("late_pose_110ms", poses), ("tick", ticks)):
-        figures = np.array(values) * 1e3
-        result[f"output_filter.{name}"] = {
-            "median_ms": float(np.median(figures)),
-            "p95_ms": float(np.percentile(figures, 95)),
-        }
+        result[f"output_filter.{name}"] = summary(values)
     odometry_ms = result["output_filter.odometry"]["median_ms"]
     late_ms = result["output_filter.late_pose_110ms"]["median_ms"]
     result["output_filter.late_pose_110ms"]["ratio_to_odometry"] = late_ms / odometry_ms
@@ -228,14 +226,6 @@ def _track(
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def show(title: str, table: dict[str, dict[str, float]]) -> None:
-    """Print a table, a line a row."""
-    print(f"\n{title}")
-    for name, row in table.items():
-        figures = ", ".join(f"{key} {value:.4g}" for key, value in row.items())
-        print(f"  {name:32} {figures}")
 
 
 if __name__ == "__main__":

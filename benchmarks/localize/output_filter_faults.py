@@ -1,7 +1,7 @@
 """What faults do to the output: wrong poses, gaps, bursts and clocks that jump.
 
-`python -m benchmarks.output_filter_faults` prints the table of docs/output_filter.md. Not timed, so
-`python -m benchmarks` leaves it out.
+`python -m benchmarks.localize.output_filter_faults` prints the table of docs/output_filter.md. Not
+timed, so `python -m benchmarks` leaves it out.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.output_filter import Event, city_drive, events_of, show
+from benchmarks.harness import show
+from benchmarks.localize.output_filter import Event, city_drive, events_of
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.particle_filter.estimate import HealthRecord, PfEstimate

@@ -1,6 +1,6 @@
 """Poles of KITTI odometry 03 against its LiDAR map, every frame by a model that never saw it.
 
-    python -m benchmarks.kitti_poles
+    python -m benchmarks.polemap.kitti_poles
 
 Two models, each trained on one half of the drive, judge the other half; a third, trained on
 simulated labels alone (`polemap/models/simulated.json`), judges all. Printed per band of range for
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import RECORDINGS
+from benchmarks.harness import RECORDINGS
 from polemap.config import PolemapConfig
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.models.io import read_classifier

@@ -1,6 +1,6 @@
 """The source paper's whole evaluation on simulated routes, in one command.
 
-    python -m benchmarks.report_routes --out evaluation
+    python -m benchmarks.evaluate.report_routes --out evaluation
 
 simulates three routes of seven laps at 5 pairs a second, maps each from its first lap, localizes
 the other six with 50 seeds and writes `evaluation/report/report.html` with the frame-rate and
@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from benchmarks.harness import summary
 from polemap.drivelog.atomic import atomic_file
 from polemap.evaluation.laps import find_stretches
 from polemap.evaluation.repeatability import deviations, guides_of, repeatability
@@ -54,11 +54,11 @@ def run() -> dict[str, dict[str, float]]:
         guides = guides_of(stretch, [track])
         middle = time.perf_counter()
         repeatability([deviations(stretch, [track], guides)])
-        finding.append(1e3 * (middle - begin))
-        measuring.append(1e3 * (time.perf_counter() - middle))
+        finding.append(middle - begin)
+        measuring.append(time.perf_counter() - middle)
     return {
-        "report_find_six_laps_2_4_km": _figures(finding),
-        "report_measure_one_run_2_4_km_100_hz": _figures(measuring),
+        "report_find_six_laps_2_4_km": summary(finding),
+        "report_measure_one_run_2_4_km_100_hz": summary(measuring),
     }
 
 
@@ -150,14 +150,6 @@ def _circle_drive(rng: np.random.Generator) -> Trajectory:
     ahead = np.gradient(points, axis=0)
     heading = np.arctan2(ahead[:, 1], ahead[:, 0])
     return Trajectory(np.arange(len(angle)) / 100.0, np.column_stack([points, heading]))
-
-
-def _figures(values_ms: list[float]) -> dict[str, float]:
-    array: NDArray[np.float64] = np.array(values_ms)
-    return {
-        "median_ms": float(np.median(array)),
-        "p95_ms": float(np.quantile(array, 0.95)),
-    }
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What the eye sees of simulated streets, held against the truth.
 
-    python -m benchmarks.seen_poles [SEEDS] [SECONDS] [WORLD ...]
+    python -m benchmarks.polemap.seen_poles [SEEDS] [SECONDS] [WORLD ...]
 
 Per pole: poles that were shown in three frames or more, and the tracks, within 25 m of the camera.
 A pole is shown in a frame when, at half or more of its heights from 0.3 to 2.3 m, pixels that are
@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.streets import open_street
+from benchmarks.simulate.streets import open_street
 from polemap.config import PolemapConfig
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import StereoFrame

@@ -6,7 +6,7 @@ LiDAR map of the sequence, as in `polemap train`; with `_unmapped`, true poles t
 are left out. Every set of simulated drives has seeds of its own and trains a model of its own;
 `_pooled` is the model of all sets.
 
-`python -m benchmarks.simulate_transfer FOLDER` keeps the simulated drives there, or takes them.
+`python -m benchmarks.simulate.transfer FOLDER` keeps the simulated drives there, or takes them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from sklearn.metrics import average_precision_score
 
-from benchmarks.kitti_poles import KITTI, UNMAPPED
+from benchmarks.polemap.kitti_poles import KITTI, UNMAPPED
 from polemap.config import PolemapConfig
 from polemap.detect.classifier import PoleClassifier
 from polemap.drivelog.drive import open_drive

@@ -1,7 +1,7 @@
 """Recovery and consistency of the particle filter on drives of points, case by case.
 
-`python -m benchmarks.particle_filter_recovery [SEEDS or FIRST:LAST] [CASE,CASE...]` prints the
-table of docs/particle_filter.md. Not timed, so `python -m benchmarks` leaves it out.
+`python -m benchmarks.localize.particle_filter_recovery [SEEDS or FIRST:LAST] [CASE,CASE...]`
+prints the table of docs/particle_filter.md. Not timed, so `python -m benchmarks` leaves it out.
 """
 
 from __future__ import annotations

@@ -6,12 +6,12 @@ One process on one core; `pairs_per_s_2_cores` is twice that, since pairs are in
 
 from __future__ import annotations
 
-from statistics import median
 from time import perf_counter
 
 import cv2
 import numpy as np
 
+from benchmarks.harness import compared
 from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.drive import Studio, make_plan
 from polemap.simulate.scenario import load_scenario
@@ -42,15 +42,9 @@ def run() -> dict[str, dict[str, float]]:
             begin = perf_counter()
             studio.shot(int(number))
             times[name].append(perf_counter() - begin)
-    plain = median(times["shadows_off"])
     return {
-        f"simulate_pair_{name}": {
-            "median_ms": 1000 * median(values),
-            "p95_ms": 1000 * float(np.percentile(values, 95)),
-            "ratio_to_shadows_off": median(values) / plain,
-            "pairs_per_s_2_cores": 2 / median(values),
-        }
-        for name, values in times.items()
+        f"simulate_pair_{name}": {**row, "pairs_per_s_2_cores": 2e3 / row["median_ms"]}
+        for name, row in compared(times, "shadows_off").items()
     }
 
 

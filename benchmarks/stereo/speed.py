@@ -1,4 +1,4 @@
-"""How long a pair takes: `python -m benchmarks.stereo_speed [LEFT RIGHT] [--runs N]`.
+"""How long a pair takes: `python -m benchmarks.stereo.speed [LEFT RIGHT] [--runs N]`.
 
 Both disparity maps with all checks at 768x480, two threads, every instruction set of this machine
 beside OpenCV's StereoSGBM (both views in two threads), interleaved in one run. Without images a
@@ -8,15 +8,16 @@ rendered pair is matched; the time hardly depends on the content.
 from __future__ import annotations
 
 import argparse
-import time
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from benchmarks.stereo_pairs import read_grey
-from benchmarks.stereo_scenes import rendered_scene
+from benchmarks.harness import interleaved, summary
+from benchmarks.stereo.pairs import read_grey
+from benchmarks.stereo.scenes import rendered_scene
 from polemap.stereo.config import OpenCvConfig, StereoConfig
 from polemap.stereo.matching import Image, StereoMatcher, make_matcher
 
@@ -48,19 +49,13 @@ def measure(left: Image, right: Image, runs: int) -> dict[str, dict[str, float]]
     """Medians over interleaved runs, and the ratio of OpenCV's StereoSGBM to each."""
     cv2.setNumThreads(1)  # one thread for each view, as the matcher starts them
     variants = matchers()
-    times: dict[str, list[float]] = {name: [] for name in variants}
-    for run_number in range(runs + 1):
-        for name, (matcher, _) in variants.items():
-            start = time.perf_counter()
-            matcher.match(left, right)
-            if run_number:  # the first run allocates
-                times[name].append(1e3 * (time.perf_counter() - start))
+    work = {name: partial(matcher.match, left, right) for name, (matcher, _) in variants.items()}
+    times = interleaved(work, runs, warm_up=1)  # the first run allocates
     medians = {name: float(np.median(values)) for name, values in times.items()}
     return {
         f"stereo_{name}": {
-            "median_ms": medians[name],
-            "p95_ms": float(np.percentile(values, 95)),
-            "min_ms": min(values),
+            **summary(values),
+            "min_ms": 1e3 * min(values),
             "opencv_sgbm_over_this": medians[f"opencv_sgbm_{variants[name][1]}"] / medians[name],
         }
         for name, values in times.items()

@@ -1,6 +1,6 @@
 """What the census matcher would have scored, had its penalties been chosen on other pairs.
 
-    python -m benchmarks.stereo_holdout FOLDER
+    python -m benchmarks.stereo.holdout FOLDER
 
 A small grid of penalties. Each half of the pairs (1, 3, 5 ... and 2, 4, 6 ...) chooses the one with
 the least error at one density, thinned by stereo/trust.py to what every setting reaches on that
@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.stereo_accuracy import score_rendered
-from benchmarks.stereo_curves import Signs, at_densities, signs
-from benchmarks.stereo_pairs import Pair, read_pairs
+from benchmarks.stereo.accuracy import score_rendered
+from benchmarks.stereo.curves import Signs, at_densities, signs
+from benchmarks.stereo.pairs import Pair, read_pairs
 from polemap.stereo.config import Penalties, StepPenalty, StereoConfig
 from polemap.stereo.matching import make_matcher
 from polemap.stereo.trust import LAWS

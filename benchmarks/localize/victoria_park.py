@@ -1,6 +1,6 @@
 """Victoria Park, all real: how well the filter keeps to its trees, and to the road without them.
 
-    python -m benchmarks.victoria_park [SEEDS] [CASE,CASE...]
+    python -m benchmarks.localize.victoria_park [SEEDS] [CASE,CASE...]
 
 The map comes from lap `map`, the drive is lap `test`. Errors are those of positions against the
 recording's reference, whose own standard deviation is 0.07 m, from 5 s after the start on. "Near"
@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from benchmarks import RECORDINGS
-from benchmarks.particle_filter_recovery import A_THIRD_OF_THE_NOISE
+from benchmarks.harness import RECORDINGS
+from benchmarks.localize.particle_filter_recovery import A_THIRD_OF_THE_NOISE
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections

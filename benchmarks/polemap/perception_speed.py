@@ -1,6 +1,6 @@
 """Processor time of detection and tracking of a frame, by stage, after the disparity; one thread.
 
-    python -m benchmarks perception_speed
+    python -m benchmarks polemap.perception_speed
 
 Frames: two simulated streets of 768x480 (two seeds each) and KITTI odometry 03 (1242x375, a quarter
 more pixels), or the drive that the environment variable POLEMAP_BENCH_DRIVE names in its place.
@@ -23,8 +23,8 @@ import cv2
 import numpy as np
 
 import polemap.detect.detection as detection
-from benchmarks import RECORDINGS
-from benchmarks.streets import open_street
+from benchmarks.harness import RECORDINGS, compared
+from benchmarks.simulate.streets import open_street
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import open_drive
@@ -99,14 +99,9 @@ def _profile(name: str, parts: list[tuple[StereoRig, Samples]]) -> dict[str, dic
                 rounds[stage].append(seconds)
         for stage, table in rounds.items():
             best[stage] += np.min(table, axis=0).tolist()
-    whole = float(np.median(best["whole"]))
     figures = {
-        f"perception_{name}_{stage.lstrip('_')}": {
-            "median_ms": 1e3 * float(np.median(seconds)),
-            "p95_ms": 1e3 * float(np.quantile(seconds, 0.95)),
-            "ratio_to_whole": float(np.median(seconds)) / whole,
-        }
-        for stage, seconds in best.items()
+        f"perception_{name}_{stage.lstrip('_')}": row
+        for stage, row in compared(best, "whole").items()
     }
     figures[f"perception_{name}_whole"]["hypotheses"] = float(np.max(hypotheses))
     return figures

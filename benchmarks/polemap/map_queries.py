@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import summary
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.io import read_map, write_map
 from polemap.map.landmark_map import PoleMap
@@ -58,7 +59,7 @@ def run() -> dict[str, dict[str, float]]:
             loaded = read_map(path)
             loads.append(time.perf_counter() - begin)
             work.append(time.process_time() - busy)
-        results["map_10M_load_parquet"] = _summary(loads)
+        results["map_10M_load_parquet"] = summary(loads)
         # what it costs, where others keep the processors busy
         results["map_10M_load_parquet"]["processor_ms"] = 1e3 * float(np.median(work))
         results["map_10M_memory"]["bytes_per_pole_loaded"] = loaded.bytes_per_pole
@@ -80,7 +81,7 @@ def run() -> dict[str, dict[str, float]]:
         offset = loaded.points_m - centre
         np.flatnonzero(np.einsum("ij,ij->i", offset, offset) <= RADIUS_M**2)
         scans.append(time.perf_counter() - begin)
-    query = _summary(times)
+    query = summary(times)
     query["poles_found"] = found / QUERIES
     query["ratio_to_scan"] = query["median_ms"] / (1e3 * float(np.median(scans)))
     results["map_10M_query_30m"] = query
@@ -88,14 +89,7 @@ def run() -> dict[str, dict[str, float]]:
 
 
 def _once(begin: float) -> dict[str, float]:
-    return _summary([time.perf_counter() - begin])
-
-
-def _summary(times_s: list[float]) -> dict[str, float]:
-    return {
-        "median_ms": 1e3 * float(np.median(times_s)),
-        "p95_ms": 1e3 * float(np.percentile(times_s, 95)),
-    }
+    return summary([time.perf_counter() - begin])
 
 
 if __name__ == "__main__":

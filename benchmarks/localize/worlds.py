@@ -1,6 +1,6 @@
 """The particle filter behind the camera: simulated routes at 22 pairs a second, many seeds.
 
-    python -m benchmarks.localize_worlds [SEEDS] [ROUTE[:WORLD] ...]
+    python -m benchmarks.localize.worlds [SEEDS] [ROUTE[:WORLD] ...]
 
 The routes are those of `report_routes`, WORLD is the seed of houses, trees, camera and sensors (0).
 Every fourth frame of lap 1 makes the map; lap 2 is localized in it, once with all frames and 1000
@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.report_routes import CORNERS_M, short_world
+from benchmarks.evaluate.report_routes import CORNERS_M, short_world
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections

@@ -1,6 +1,6 @@
 """Error against density: what each matcher has wrong when its least trusted disparities go.
 
-    python -m benchmarks.stereo_curves FOLDER PICTURE.png
+    python -m benchmarks.stereo.curves FOLDER PICTURE.png
 
 All matchers alike: without and with the speckle filter, thinned by the law of stereo/trust.py.
 Its coefficients are fitted to each matcher's own maps on every second pair and order those of the
@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.stereo_pairs import Pair, read_pairs
-from benchmarks.stereo_variants import variants
+from benchmarks.stereo.pairs import Pair, read_pairs
+from benchmarks.stereo.variants import variants
 from polemap.stereo.checks import without_speckles
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, make_matcher

@@ -1,0 +1,80 @@
+"""What all benchmarks share: where recordings lie, fair timing, figures, and their file.
+
+A benchmark is a module in the folder of its room with
+`run() -> {name: {"median_ms": ..., "p95_ms": ..., "ratio_to_...": ...}}`. It measures what it
+compares in one run, interleaved, so that a busy machine slows both sides; where the recordings that
+it needs are missing it leaves out what needs them.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+FOLDER = Path(__file__).resolve().parent
+# recordings lie beside the project; what is not there is left out
+RECORDINGS = FOLDER.parents[1] / "shared" / "data"
+
+Figures = dict[str, dict[str, float]]
+
+
+def modules() -> list[str]:
+    """Names of the benchmarks, as in `stereo.speed`: the modules that define `run`."""
+    return sorted(
+        f"{path.parent.name}.{path.stem}"
+        for path in FOLDER.glob("*/*.py")
+        if "\ndef run(" in path.read_text(encoding="utf-8")
+    )
+
+
+def interleaved(
+    work: Mapping[str, Callable[[], object]], rounds: int, warm_up: int = 0
+) -> dict[str, list[float]]:
+    """Seconds of each kind of work, done in turn `rounds` times after `warm_up` rounds untimed."""
+    times: dict[str, list[float]] = {name: [] for name in work}
+    for number in range(warm_up + rounds):
+        for name, task in work.items():
+            begin = time.perf_counter()
+            task()
+            if number >= warm_up:
+                times[name].append(time.perf_counter() - begin)
+    return times
+
+
+def summary(times_s: Sequence[float], *more: int) -> dict[str, float]:
+    """Median and 95th percentile in milliseconds, and `more` percentiles."""
+    values = 1e3 * np.asarray(times_s, dtype=np.float64)
+    wanted = {f"p{percent}_ms": float(np.percentile(values, percent)) for percent in (95, *more)}
+    return {"median_ms": float(np.median(values)), **wanted}
+
+
+def compared(times_s: Mapping[str, Sequence[float]], to: str) -> Figures:
+    """The summary of each, and its median as a ratio to that of `to`."""
+    base = float(np.median(times_s[to]))
+    return {
+        name: {**summary(values), f"ratio_to_{to}": float(np.median(values)) / base}
+        for name, values in times_s.items()
+    }
+
+
+def show(title: str, table: Mapping[str, Mapping[str, object]]) -> None:
+    """Print a table, a line a row."""
+    print(f"\n{title}", flush=True)
+    for name, row in table.items():
+        print(f"  {name:32} " + ", ".join(f"{key} {_short(value)}" for key, value in row.items()))
+
+
+def write_results(path: Path, results: Mapping[str, Any]) -> None:
+    """Write JSON whole or not at all."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(results, indent=1), encoding="utf-8")
+    part.replace(path)
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
