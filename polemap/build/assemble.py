@@ -93,9 +93,16 @@ def assemble_map(
     )
     evidences = _all_evidence(ordered, seen, old, merged)
     built = _finish(landmarks, merged, evidences, old, update, config, frame)
-    return replace(
-        built, shifts=shifts, reports=building_reports(ordered, shifts, align, merged, drifts)
-    )
+    reports = building_reports(ordered, shifts, align, merged, drifts)
+    if old is not None and old.moved:
+        shown = ", ".join(str(name) for name in old.moved[:5])
+        more = " …" if len(old.moved) > 5 else ""
+        reports = (
+            *reports,
+            f"{len(old.moved)} poles of the old map were moved by hand ({shown}{more}): they stay "
+            "where they stand now and begin a new history",
+        )
+    return replace(built, shifts=shifts, reports=reports)
 
 
 def align_drives(

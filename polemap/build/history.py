@@ -36,6 +36,8 @@ _TRAVERSAL = (
 )  # fmt: skip
 # values of a traversal in maps of before, and what stands for those that they lack
 _TRAVERSAL_BEFORE = 16
+# a pole farther than this from all that saw it, beyond its own deviations, was moved by hand
+_MOVED_M, _MOVED_SDS = 0.5, 6.0
 _LACKING = (0.0, 0.0, 0.0, None, None)
 
 
@@ -48,12 +50,15 @@ class OldMap:
         pole: `(len(landmarks),)` row of the map that each belongs to.
         evidence: what each drive counted at each row of the map, in the order of time.
         prior_log_odds: `(n,)` for poles that have no history (a CSV, a public inventory).
+        moved: ids of poles that stand where no drive saw them: they were moved by hand, and count
+            as poles without a history.
     """
 
     landmarks: TraversalLandmarks
     pole: Whole
     evidence: tuple[tuple[str, float, Evidence], ...]
     prior_log_odds: Floats
+    moved: tuple[int, ...] = ()
 
 
 def write_history(
@@ -127,8 +132,13 @@ def open_history(pole_map: PoleMap) -> OldMap:
     starts: list[float] = []
     drives: dict[tuple[float, str], Evidence] = {}
     prior = np.zeros(n)
+    moved: list[int] = []
     for pole, text in enumerate(texts):
         entries = _entries(str(text), int(pole_map.ids[pole]))
+        if entries and _moved(pole_map, pole, entries):
+            # edited in a GIS: the place on the map counts, not the one that was once seen
+            moved.append(int(pole_map.ids[pole]))
+            entries = []
         if not entries:
             prior[pole] = _log_odds(float(pole_map.existence[pole]))
             rows.append(_as_traversal(pole_map, pole))
@@ -151,7 +161,18 @@ def open_history(pole_map: PoleMap) -> OldMap:
         np.array(poles, dtype=np.int64),
         evidence,
         prior,
+        tuple(moved),
     )
+
+
+def _moved(pole_map: PoleMap, pole: int, entries: list[Mapping[str, Any]]) -> bool:
+    """Whether the pole stands where none of its traversals saw it."""
+    seen = np.array([values[:2] for entry in entries for values in entry["passes"]], dtype=float)
+    if not len(seen):
+        return False
+    distance = np.hypot(*(seen.reshape(-1, 2) - pole_map.points_m[pole]).T)
+    sd = float(np.sqrt(np.trace(pole_map.covariance_m2[pole]) / 2.0))
+    return bool(distance.min() > _MOVED_M + _MOVED_SDS * sd)
 
 
 def _entries(text: str, pole: int) -> list[Mapping[str, Any]]:

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import geopandas
 import numpy as np
@@ -27,6 +26,7 @@ from polemap.drivelog.tables import read_table
 from polemap.extras import check_installed, need
 from polemap.map.formats import geojson, opendrive, osm, qgis
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
+from polemap.map.formats.layers import placed, points_only, split_columns
 from polemap.map.landmark_map import PoleMap
 from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.json_text import parse_json, read_json
@@ -172,42 +172,37 @@ def _read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
         # tables without geometry (styles, say) are no layers of poles
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
         layer = LAYER if LAYER in layers else layers[0]
-        pole_map = _read_layer(path, layer, frame)
-        if layer == LAYER and DOUBTFUL in layers:
-            return replace(pole_map, doubtful=_read_layer(path, DOUBTFUL, frame))
-        return pole_map
+        if layer != LAYER or DOUBTFUL not in layers:
+            return _read_layer(path, layer, frame)
+        doubtful = _read_layer(path, DOUBTFUL, frame)
+        next_id = int(doubtful.ids.max()) + 1 if len(doubtful) else 0
+        pole_map = _read_layer(path, layer, frame, next_id)
+        return replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, IndexError) as error:
         raise InputError(f"{path}: not a GeoPackage with a layer of points ({error})") from error
 
 
-def _read_layer(path: Path, layer: str, frame: EarthFrame | None) -> PoleMap:
+def _read_layer(path: Path, layer: str, frame: EarthFrame | None, next_id: int = 0) -> PoleMap:
     ours = (pyogrio.read_info(path, layer=layer).get("layer_metadata") or {}).get("polemap")
     table = pyogrio.read_dataframe(path, layer=layer)
-    if not isinstance(table, geopandas.GeoDataFrame) or (table.geom_type != "Point").any():
-        raise InputError(f"{path}: layer '{layer}' does not hold points only")
+    if not isinstance(table, geopandas.GeoDataFrame):
+        raise InputError(f"{path}: layer '{layer}' holds no points")
     try:
         own = EarthFrame.from_dict(parse_json(ours)["frame"]) if ours else None
     except (ParsingError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: the frame in its metadata cannot be read ({error})") from error
-    if own is None and table.crs is not None:
-        if table.crs.is_geographic and len(table):
-            table = table.to_crs(frame.epsg if frame and frame.epsg else table.estimate_utm_crs())
-        own = EarthFrame("utm", table.crs.to_epsg())
-    own = own or frame
-    if own is None:
-        raise InputError(f"{path}: it names no reference system and no frame")
-    columns: dict[str, Any] = {}
-    extra: dict[str, Any] = {}
-    for name in table.columns:
-        if name == table.geometry.name:
-            continue
-        values = table[name].to_numpy()
-        if values.dtype.kind not in "iuf":
-            if name in KNOWN:
-                raise InputError(f"{path}: column {name} does not hold numbers")
-            values = values.astype(np.str_)
-        (columns if name in KNOWN else extra)[str(name)] = values
-    return from_columns(own, shapely.get_coordinates(table.geometry), columns, extra=extra)
+    table, of_points = points_only(table)
+    table, own, of_place = placed(table, own, frame)
+    columns, extra, of_columns = split_columns(table)
+    notes = (*of_points, *of_place, *of_columns)
+    return from_columns(
+        own,
+        shapely.get_coordinates(table.geometry),
+        columns,
+        extra=extra,
+        notes=notes,
+        next_id=next_id,
+    )
 
 
 def _write_geojson(pole_map: PoleMap, path: Path) -> None:

@@ -49,8 +49,12 @@ def from_columns(
     *,
     extra: Mapping[str, NDArray[Any]] | None = None,
     notes: tuple[str, ...] = (),
+    next_id: int = 0,
 ) -> PoleMap:
     """A map from columns; those that are missing get stated defaults and a note.
+
+    Args:
+        next_id: the least id for poles that have none among others that have one.
 
     Raises:
         InputError: values that a map refuses, or a covariance that is not positive.
@@ -58,6 +62,10 @@ def from_columns(
     n = len(points_m)
     numbers = {name: _column(columns, name, n) for name in KNOWN}
     ids = numbers["id"]
+    if ids is not None and ids.dtype.kind == "f":
+        ids, new = _numbered(ids, next_id)
+        span = f"{new[0]}" if len(new) == 1 else f"{new[0]} to {new[-1]}"
+        notes = (*notes, f"{len(new)} poles had no id: they are given {span}")
     if ids is not None and not _all_different(ids):
         raise InputError("pole map: the ids are not unique")
     covariance, assumed = _covariance(numbers, n)
@@ -80,6 +88,17 @@ def from_columns(
     )
 
 
+def _numbered(ids: NDArray[Any], least: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Ids with numbers after the largest for those that are NaN, and these new ones."""
+    known = np.isfinite(ids)
+    first = max(int(ids[known].max()) + 1, least)
+    new = np.arange(first, first + int(np.count_nonzero(~known)), dtype=np.int64)
+    whole = np.zeros(len(ids), dtype=np.int64)
+    whole[known] = ids[known].astype(np.int64)
+    whole[~known] = new
+    return whole, new
+
+
 def _all_different(ids: NDArray[Any]) -> bool:
     """Whether no id stands twice; maps of ours are sorted by id, which needs no sorting."""
     step = np.diff(ids)
@@ -100,7 +119,7 @@ def _column(columns: Mapping[str, NDArray[Any]], name: str, n: int) -> NDArray[A
         if name in _WHOLE:
             values = np.where(np.isfinite(values), values, 0.0 if name != "id" else np.nan)
             if name == "id" and not np.isfinite(values).all():
-                return None
+                return values if np.isfinite(values).any() else None
             return values.astype(np.int64)
     except (TypeError, ValueError) as error:
         raise InputError(f"pole map: column {name} does not hold numbers ({error})") from error

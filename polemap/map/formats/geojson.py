@@ -28,6 +28,9 @@ Floats = NDArray[np.float64]
 # further than the earth reaches round
 LARGEST_M = 1e9
 
+# ten decimals of a degree, or five of a metre, are nearer than this
+_SAME_PLACE_M = 0.001
+
 
 def to_document(pole_map: PoleMap) -> dict[str, Any]:
     """The map as a FeatureCollection."""
@@ -51,7 +54,13 @@ def to_document(pole_map: PoleMap) -> dict[str, Any]:
     ours: dict[str, Any] = {"format_version": 1, "frame": pole_map.frame.to_dict()}
     if pole_map.doubtful is not None and len(pole_map.doubtful):
         ours["doubtful"] = to_document(pole_map.doubtful)
-    return {"type": "FeatureCollection", "polemap": ours, "features": features}
+    document: dict[str, Any] = {"type": "FeatureCollection", "polemap": ours}
+    if not pole_map.frame.is_utm:
+        # without it other programs take local metres for degrees of WGS84; GDAL reads the name
+        name = str(pole_map.frame.name).replace('"', "'")
+        system = f'LOCAL_CS["{name}",UNIT["metre",1]]'
+        document["crs"] = {"type": "name", "properties": {"name": system}}
+    return {**document, "features": features}
 
 
 def _plain(column: NDArray[Any]) -> list[Any]:
@@ -85,12 +94,10 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
     if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
         own_frame = EarthFrame.from_dict(ours["frame"])
         if {"east_m", "north_m"} <= set(properties[0] if properties else ()):
-            positions = np.array(
-                [
-                    [_metres(p, name, row) for name in ("east_m", "north_m")]
-                    for row, p in enumerate(properties)
-                ]
-            )
+            positions, moved = _grid_positions(own_frame, positions, properties)
+            if moved:
+                notes = (*notes, f"{moved} points do not stand at their east_m and north_m: they "
+                         "were moved or added by hand, and the point counts")  # fmt: skip
         elif own_frame.is_utm:
             positions = grid_from_geographic(own_frame, positions[:, 1], positions[:, 0])
         pole_map = _build(own_frame, positions, properties, notes)
@@ -98,6 +105,27 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
             return replace(pole_map, doubtful=from_document(ours["doubtful"], frame))
         return pole_map
     return from_inventory(positions, properties, frame, notes)
+
+
+def _grid_positions(
+    frame: EarthFrame, positions: Floats, properties: Sequence[Mapping[str, Any]]
+) -> tuple[Floats, int]:
+    """Grid coordinates `(n, 2)`, to full digits where the point stands at them, and the number of
+    the others: a GIS moves the point alone.
+    """
+    points = positions
+    if frame.is_utm and len(positions):
+        points = grid_from_geographic(frame, positions[:, 1], positions[:, 0])
+    rows = [
+        [
+            math.nan if p.get(name) is None else _metres(p, name, row)
+            for name in ("east_m", "north_m")
+        ]
+        for row, p in enumerate(properties)
+    ]
+    given = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    same = np.hypot(*(given - points).T) < _SAME_PLACE_M
+    return np.where(same[:, None], given, points), int(np.count_nonzero(~same))
 
 
 def from_inventory(

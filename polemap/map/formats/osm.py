@@ -7,6 +7,8 @@ PBF keeps positions to 1e-7 degrees, a centimetre.
 from __future__ import annotations
 
 import ctypes
+import math
+import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 from xml.etree import ElementTree
@@ -181,19 +183,40 @@ def _from_nodes(nodes: Iterable[_Node], frame: EarthFrame | None) -> PoleMap:
 
 
 def _properties(tags: dict[str, str]) -> dict[str, Any]:
-    return {"height_m": _metres(tags.get("height")), "width_m": _metres(tags.get("diameter"))}
+    """Height and width; the wiki gives `diameter` in mm, the rest in metres without a unit."""
+    width = _metres(tags.get("diameter"), "mm")
+    around = _metres(tags.get("circumference"), "m")
+    if width is None and around is not None:
+        width = around / math.pi
+    if width is None:
+        width = _metres(tags.get("width"), "m")
+    return {"height_m": _metres(tags.get("height"), "m"), "width_m": width}
 
 
-def _metres(text: str | None) -> float | None:
-    """A length as OpenStreetMap writes it: metres without a unit, `m`, `cm` or `mm`."""
+_UNITS_M = {
+    "mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "ft": 0.3048, "feet": 0.3048, "'": 0.3048,
+    "in": 0.0254, "inch": 0.0254, "inches": 0.0254, '"': 0.0254,
+}  # fmt: skip
+_LENGTH = re.compile(
+    r"""([0-9]+(?:[.,][0-9]+)?|[.,][0-9]+)\s*(mm|cm|km|m|ft|feet|inches|inch|in|'|")?\s*"""
+)
+
+
+def _metres(text: str | None, default_unit: str) -> float | None:
+    """A length as OpenStreetMap writes it: `12`, `12 m`, `150 mm`, `39'4"`, `39 ft 4 in`.
+
+    Args:
+        default_unit: of a number without a unit, which depends on the key.
+    """
     if text is None:
         return None
-    words = text.replace(",", ".").strip().lower()
-    for unit, scale in (("mm", 0.001), ("cm", 0.01), ("m", 1.0), ("", 1.0)):
-        if words.endswith(unit):
-            try:
-                value = float(words[: len(words) - len(unit)]) * scale
-            except ValueError:
-                continue
-            return value if 0.0 < value < 500.0 else None
-    return None
+    words = text.strip().lower().replace("\u2032", "'").replace("\u2033", '"').replace("''", '"')
+    at, total, parts = 0, 0.0, 0
+    while at < len(words):
+        match = _LENGTH.match(words, at)
+        if match is None or (parts and not match.group(2)):
+            return None
+        value = float(match.group(1).replace(",", "."))
+        total += value * _UNITS_M[match.group(2) or default_unit]
+        at, parts = match.end(), parts + 1
+    return total if 0.0 < total < 500.0 else None
