@@ -1,8 +1,19 @@
-"""Settings of the estimators, one model for the room."""
+"""Settings of the estimators: what differs from car to car and from sensor to sensor.
+
+What no user should turn stands beside the code that uses it, as a named constant with its source.
+"""
 
 from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
+
+# What an estimator holds of the start, one sigma: a car that may be in a bend (2 % side-slip, a
+# tenth of a radian a second), on a lane whose direction a driver has within six degrees, anywhere
+# across it. A camera or a course corrects all of it within its first values.
+INITIAL_SIDESLIP_SD_RAD = 0.02
+INITIAL_YAW_RATE_SD_RADPS = 0.1
+INITIAL_HEADING_SD_RAD = 0.1
+INITIAL_OFFSET_SD_M = 1.0
 
 
 class EstimatorConfig(BaseModel):
@@ -14,47 +25,88 @@ class EstimatorConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    step_s: float = Field(0.001, gt=0.0, le=0.1, description="nominal step of the fast signals")
-    sideslip_walk_rad: float = Field(0.0316, gt=0.0, le=1.0, description="model error of beta'")
-    yaw_rate_walk_radps: float = Field(0.316, gt=0.0, le=10.0, description="model error of gamma'")
-    gyro_sd_radps: float = Field(0.003, gt=0.0, le=1.0)
-    heading_sd_rad: float = Field(0.002, gt=0.0, le=1.0, description="camera")
-    lateral_offset_sd_m: float = Field(0.005, gt=0.0, le=10.0, description="camera")
-    camera_period_s: float = Field(0.033, gt=0.0, le=1.0)
-    camera_delay_s: float = Field(
-        0.033, ge=0.0, le=1.0, description="delay that filters assume which cannot read stamps"
+    # timing
+    step_s: float = Field(
+        0.001, gt=0.0, le=0.1, description="Nominal step of the fast signals, seconds."
     )
-    camera_slots: int = Field(1, ge=1, le=8, description="frames that may be on their way at once")
-    lateral_acceleration_sd_mps2: float = Field(0.1, gt=0.0, le=10.0)
-    acceleration_walk_mps: float = Field(
-        0.1, gt=0.0, le=10.0, description="accelerometer noise, integrated over one second"
-    )
-    observer_pole_radps: float = Field(10.0, gt=0.0, le=500.0, description="linear observer")
-    course_sd_rad: float = Field(0.01, gt=0.0, le=1.0, description="GPS")
-    speed_sd_mps: float = Field(0.05, gt=0.0, le=10.0, description="GPS speed")
-    wheel_speed_sd_mps: float = Field(0.1, gt=0.0, le=10.0)
-    heading_walk_rad: float = Field(
-        0.0, ge=0.0, le=1.0, description="heading in 1 s beside the yaw rate: bias of a real gyro"
-    )
-    gps_slots: int = Field(1, ge=1, le=8)
-    disturbance_time_s: float = Field(2.0, gt=0.01, le=1000.0, description="leak of d")
-    sideslip_disturbance_radps: float = Field(0.1, gt=0.0, le=10.0, description="sd of d_beta")
-    yaw_disturbance_radps2: float = Field(1.0, gt=0.0, le=100.0, description="sd of d_gamma")
-    acceleration_disturbance_mps2: float = Field(0.3, gt=0.0, le=10.0, description="sd of bias")
-    acceleration_disturbance_time_s: float = Field(20.0, gt=0.01, le=1e5)
-    stiffness_walk: float = Field(0.01, gt=0.0, le=1.0, description="stiffness scale in 1 s")
-    stiffness_sd: float = Field(0.3, gt=0.0, le=2.0, description="stiffness scale at the start")
-    stiffness_model_scale: float = Field(
-        0.25,
+    camera_period_s: float = Field(
+        0.033,
         gt=0.0,
         le=1.0,
-        description="walks of the stiffness filter over the others': its scale carries the rest",
+        description="From picture to picture, seconds; for filters that cannot read stamps.",
     )
-    outage_s: float = Field(0.5, gt=0.0, le=100.0, description="silence that counts as a loss")
-    bridge_time_s: float = Field(
-        0.3, ge=0.0, le=10.0, description="time constant by which the output joins after a loss"
+    camera_delay_s: float = Field(
+        0.033,
+        ge=0.0,
+        le=1.0,
+        description="From the picture to its value, seconds; for filters that cannot read stamps.",
     )
-    initial_sideslip_sd_rad: float = Field(0.02, gt=0.0, le=1.0)
-    initial_yaw_rate_sd_radps: float = Field(0.1, gt=0.0, le=5.0)
-    initial_heading_sd_rad: float = Field(0.1, gt=0.0, le=4.0)
-    initial_offset_sd_m: float = Field(1.0, gt=0.0, le=100.0)
+    camera_slots: int = Field(
+        1, ge=1, le=8, description="Pictures that may be on their way at once; a count."
+    )
+    gps_slots: int = Field(
+        1, ge=1, le=8, description="GPS values that may be on their way at once; a count."
+    )
+    # model errors
+    sideslip_walk_rad: float = Field(
+        0.0316,
+        gt=0.0,
+        le=1.0,
+        description="What the single-track model lacks in the side-slip after 1 s, radians.",
+    )
+    yaw_rate_walk_radps: float = Field(
+        0.316,
+        gt=0.0,
+        le=10.0,
+        description="What the single-track model lacks in the yaw rate after 1 s, rad/s.",
+    )
+    heading_walk_rad: float = Field(
+        0.0,
+        ge=0.0,
+        le=1.0,
+        description="What the heading wanders in 1 s beside the yaw rate, radians: a gyro's bias.",
+    )
+    sideslip_disturbance_radps: float = Field(
+        0.1,
+        gt=0.0,
+        le=10.0,
+        description="Standard deviation of the unknown rate of the side-slip, rad/s (two_layer).",
+    )
+    yaw_disturbance_radps2: float = Field(
+        1.0,
+        gt=0.0,
+        le=100.0,
+        description="Standard deviation of the unknown yaw acceleration, rad/s^2 (two_layer).",
+    )
+    # sensors
+    gyro_sd_radps: float = Field(
+        0.003, gt=0.0, le=1.0, description="Standard deviation of the yaw rate, rad/s."
+    )
+    acceleration_walk_mps: float = Field(
+        0.1, gt=0.0, le=10.0, description="Accelerometer noise integrated over 1 s, m/s."
+    )
+    acceleration_disturbance_time_s: float = Field(
+        20.0,
+        gt=0.01,
+        le=1e5,
+        description="How long the accelerometer keeps its bias, seconds; where roll makes it, as "
+        "long as a bend.",
+    )
+    heading_sd_rad: float = Field(
+        0.002,
+        gt=0.0,
+        le=1.0,
+        description="Standard deviation of the camera's heading in the lane, radians.",
+    )
+    lateral_offset_sd_m: float = Field(
+        0.005,
+        gt=0.0,
+        le=10.0,
+        description="Standard deviation of the camera's lateral offset, metres.",
+    )
+    course_sd_rad: float = Field(
+        0.01, gt=0.0, le=1.0, description="Standard deviation of the GPS course, radians."
+    )
+    speed_sd_mps: float = Field(
+        0.05, gt=0.0, le=10.0, description="Standard deviation of the GPS speed, m/s."
+    )

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from polemap.electric.signals import SignalLog
+from polemap.vehicle.discretize import zero_order_hold_series
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS
+from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS, lateral_on_tyres
+from polemap.vehicle.slip import sideslip_at
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +65,8 @@ def identify(log: SignalLog, car: Car, *, name: str, source: str) -> Fit:
     def answer(x: Floats) -> Floats:
         trial = _with(car, x)
         states = simulate(trial, steering - trial.steering_offset_rad, speed, period)
-        beta = states[:, 0] + trial.sideslip_point_m * states[:, 1] / np.maximum(speed, 1.0)
+        v = np.maximum(speed, 1.0)
+        beta = sideslip_at(states[:, 0], states[:, 1], v, trial.sideslip_point_m)
         return np.column_stack([beta, states[:, 1]])
 
     def residual(x: Floats) -> Floats:
@@ -94,25 +97,12 @@ def _with(car: Car, x: Floats) -> Car:
 def simulate(car: Car, steering_rad: Floats, speed_mps: Floats, period_s: Floats) -> Floats:
     """The single-track model's own answer `(n, 2)` of side-slip and yaw rate, from rest.
 
-    Steps by the series of the exponential to third order, all matrices at once.
+    All steps are made discrete at once.
     """
-    v = np.maximum(speed_mps, KINEMATIC_SPEED_MPS)
-    m, inertia, lf, lr = car.mass_kg, car.yaw_inertia_kgm2, car.cg_to_front_m, car.cg_to_rear_m
-    cf, cr = car.front_stiffness_nprad, car.rear_stiffness_nprad
-    k0, k1 = 2.0 * (cf + cr), 2.0 * (cf * lf - cr * lr)
-    k2 = 2.0 * (cf * lf**2 + cr * lr**2)
-    n = len(v)
-    a = np.empty((n, 2, 2))
-    a[:, 0, 0], a[:, 0, 1] = -k0 / (m * v), -1.0 - k1 / (m * v * v)
-    a[:, 1, 0], a[:, 1, 1] = -k1 / inertia, -k2 / (inertia * v)
-    b = np.column_stack([2.0 * cf / (m * v), np.full(n, 2.0 * cf * lf / inertia)])
-    t = period_s[:, None, None]
-    at = a * t
-    square = at @ at
-    one = np.eye(2)
-    g = one + at + square / 2.0 + square @ at / 6.0 + square @ square / 24.0
-    integral = t * (one + at / 2.0 + square / 6.0 + square @ at / 24.0)
-    pushed = (integral @ b[:, :, None])[:, :, 0] * steering_rad[:, None]
+    a, b = lateral_on_tyres(car, np.maximum(speed_mps, KINEMATIC_SPEED_MPS))
+    g, h = zero_order_hold_series(a, b[..., :1], period_s)
+    pushed = h[:, :, 0] * steering_rad[:, None]
+    n = len(g)
     out = np.zeros((n, 2))
     beta = gamma = 0.0
     rows = zip(*g.reshape(n, 4).T.tolist(), *pushed.T.tolist(), strict=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.kalman import chi_square_quantile
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotate_back, wrap_angle
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -63,10 +63,8 @@ def pose_errors(estimated: Floats, true: Floats) -> Floats:
         estimated, true: `(n, 3)` east, north, yaw.
     """
     difference = np.asarray(estimated, dtype=np.float64) - true
-    c, s = np.cos(true[:, 2]), np.sin(true[:, 2])
-    along = c * difference[:, 0] + s * difference[:, 1]
-    across = -s * difference[:, 0] + c * difference[:, 1]
-    return np.stack([along, across, wrap_angle(difference[:, 2])], axis=1)
+    along_across = rotate_back(difference[:, :2], true[:, 2])
+    return np.column_stack([along_across, wrap_angle(difference[:, 2])])
 
 
 def nees(estimated: Floats, true: Floats, covariance: Floats) -> Floats:

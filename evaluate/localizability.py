@@ -25,6 +25,7 @@ from polemap.detect.visibility import camera_sector
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.drive import Drive
 from polemap.map.landmark_map import PoleMap
+from polemap.vehicle.pose import inverse_transform_points, rotate_covariance
 
 Floats = NDArray[np.float64]
 
@@ -170,10 +171,8 @@ def localizability(
 def _information(
     pole_map: PoleMap, rows: NDArray[np.int64], pose: Floats, weight: Floats, sensor: SensorModel
 ) -> Floats:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    vehicle_from_map = np.array([[c, s], [-s, c]])
-    local = (pole_map.points_m[rows] - pose[:2]) @ vehicle_from_map.T
-    own = vehicle_from_map @ pole_map.covariance_m2[rows] @ vehicle_from_map.T
+    local = inverse_transform_points(pose, pole_map.points_m[rows])
+    own = rotate_covariance(pole_map.covariance_m2[rows], -pose[2])
     spread = own + sensor.covariance(local)
     jacobian = np.zeros((len(rows), 2, 3))
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = -1.0

@@ -13,6 +13,7 @@ from polemap.drivelog.drive import Drive
 from polemap.evaluation.errors import accuracy
 from polemap.localize.localizer import PoseUpdate
 from polemap.localize.replay import Run
+from polemap.vehicle.pose import rotate_back
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -74,8 +75,7 @@ def smoothness(stamps_s: Floats, poses: Floats) -> dict[str, float]:
     third = np.diff(poses[:, :2], n=3, axis=0)
     whole = even[:-2] & even[1:-1] & even[2:]
     heading = poses[1:-2, 2]
-    lateral = -np.sin(heading) * third[:, 0] + np.cos(heading) * third[:, 1]
-    along = np.cos(heading) * third[:, 0] + np.sin(heading) * third[:, 1]
+    along, lateral = rotate_back(third, heading).T
     if not whole.any():
         return {}
     return {

@@ -10,14 +10,15 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, inf, sin
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.odometry_window import OdometryWindow
 from polemap.drivelog.samples import OdometrySample
-from polemap.vehicle.motion import sinc
+from polemap.vehicle import packed
+from polemap.vehicle.motion import arc_displacement
 
 Floats = NDArray[np.float64]
 _KEEP_S = 90.0
@@ -86,15 +87,16 @@ class OdometryHistory:
     def _integrate_to(self, stamp_s: float, speed: float, yaw_rate: float) -> None:
         dt = stamp_s - self._stamps[-1]
         distance = 0.5 * (speed + self._speeds[-1]) * dt
-        half = 0.25 * (yaw_rate + self._yaw_rates[-1]) * dt
-        chord = distance * (sin(half) / half if abs(half) > 1e-8 else 1.0)
-        heading = self._yaw[-1] + half + self._slip(speed, yaw_rate)
-        self._x.append(self._x[-1] + chord * cos(heading))
-        self._y.append(self._y[-1] + chord * sin(heading))
-        self._yaw.append(self._yaw[-1] + 2.0 * half)
+        turn = 0.5 * (yaw_rate + self._yaw_rates[-1]) * dt
+        east, north = packed.arc_displacement(
+            self._yaw[-1], distance, turn, self._sideslip(speed, yaw_rate)
+        )
+        self._x.append(self._x[-1] + east)
+        self._y.append(self._y[-1] + north)
+        self._yaw.append(self._yaw[-1] + turn)
         self._travelled.append(self._travelled[-1] + abs(distance))
 
-    def _slip(self, speed_mps: float, yaw_rate_radps: float) -> float:
+    def _sideslip(self, speed_mps: float, yaw_rate_radps: float) -> float:
         return -self.slip_rad_per_mps2 * speed_mps * yaw_rate_radps
 
     def rates_at(self, stamp_s: float) -> tuple[float, float]:
@@ -145,15 +147,10 @@ class OdometryHistory:
         speed, yaw_rate = self.rates_at(stamp_s)
         distance = 0.5 * (self._speeds[i] + speed) * dt
         turn = 0.5 * (self._yaw_rates[i] + yaw_rate) * dt
-        heading = self._yaw[i] + 0.5 * turn + self._slip(speed, yaw_rate)
-        chord = distance * float(sinc(0.5 * turn))
-        return np.array(
-            [
-                self._x[i] + chord * cos(heading),
-                self._y[i] + chord * sin(heading),
-                self._yaw[i] + turn,
-            ]
+        east, north = arc_displacement(
+            self._yaw[i], distance, turn, self._sideslip(speed, yaw_rate)
         )
+        return np.array([self._x[i] + east, self._y[i] + north, self._yaw[i] + turn])
 
     def travelled_m(self, stamp_s: float) -> float:
         """Length of the path up to a stamp, counted from the first sample."""

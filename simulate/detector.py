@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.simulate.config import DetectorConfig
+from polemap.vehicle.pose import inverse_transform_points
 
 Floats = NDArray[np.float64]
 
@@ -58,8 +59,7 @@ class PoleDetector:
         """The scan from a rear-axle pose `(3,)`."""
         config, view, rng = self._config, self._view, self._rng
         self._forget(stamp_s)
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        local = (self._points - pose[:2]) @ np.array([[c, -s], [s, c]])
+        local = inverse_transform_points(pose, self._points)
         rows = np.flatnonzero(view.contains(local))
         rows = rows[rng.random(len(rows)) < self._share[rows]]
         noise = np.sqrt(config.correlated_share) * self._lasting[rows] + np.sqrt(

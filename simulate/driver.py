@@ -12,6 +12,7 @@ from polemap.simulate.dynamics import CAR, follow
 from polemap.simulate.route import Route
 from polemap.simulate.scenario import DriveSpec
 from polemap.simulate.way import GRID_M, Way, make_way
+from polemap.vehicle.pose import inverse_transform_points
 
 Floats = NDArray[np.float64]
 STEP_S = 0.005
@@ -79,8 +80,7 @@ def drive_route(route: Route, spec: DriveSpec, laps: int, rng: np.random.Generat
     ride = follow(line, GRID_M, travelled, STEP_S, CAR)
     station = np.interp(travelled, driven, way.station_m) + margin
     middle = route.at(station)
-    offset = ride.pose[:, :2] - middle[:, :2]
-    beside = -np.sin(middle[:, 2]) * offset[:, 0] + np.cos(middle[:, 2]) * offset[:, 1]
+    beside = inverse_transform_points(middle, ride.pose[:, :2])[:, 1]
     starts = np.interp(way.lap_starts_m - 1e-6, at, time)
     # the standstill belongs to the lap that it opens
     first = [float(time[np.searchsorted(at, start - 1e-9)]) for start in way.lap_starts_m[:-1]]

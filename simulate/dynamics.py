@@ -7,13 +7,14 @@ the car makes of it is `vehicle.single_track.lateral`, stepped exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.vehicle.packed import rotate, rotate_back
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import lateral, schedule
+from polemap.vehicle.slip import velocity_at
 
 Floats = NDArray[np.float64]
 _PREVIEW_S = 0.22
@@ -43,13 +44,6 @@ class Ride:
     steering_rad: Floats
 
 
-def _understeer_s2pm(car: Car) -> float:
-    """Steering angle per lateral acceleration beyond the wheelbase over the radius, times 1/m."""
-    front, rear = 2 * car.front_stiffness_nprad, 2 * car.rear_stiffness_nprad
-    moment = car.cg_to_rear_m * rear - car.cg_to_front_m * front
-    return car.mass_kg * moment / (front * rear * car.wheelbase_m)
-
-
 def follow(line: Floats, step_m: float, travelled_m: Floats, step_s: float, car: Car) -> Ride:
     """Drives along a line.
 
@@ -73,12 +67,10 @@ def follow(line: Floats, step_m: float, travelled_m: Floats, step_s: float, car:
     out = np.empty((count, 7))
     x, y, yaw = want_x[0], want_y[0], want_yaw[0]
     slip, rate, steer = 0.0, 0.0, 0.0
-    understeer, rear = _understeer_s2pm(car), car.cg_to_rear_m
+    understeer, rear = car.understeer_s2pm, car.cg_to_rear_m
     model = schedule(lateral, car, (0.0, 0.0), step_s)
     for i in range(count):
-        c, s = cos(want_yaw[i]), sin(want_yaw[i])
-        dx, dy = x - want_x[i], y - want_y[i]
-        along, across = c * dx + s * dy, -s * dx + c * dy
+        along, across = rotate_back(x - want_x[i], y - want_y[i], want_yaw[i])
         v = max(speed[i] - 0.5 * along, 0.0) if speed[i] > 0.0 else 0.0
         off = yaw - want_yaw[i]
         wish = (car.wheelbase_m + understeer * v * v) * (
@@ -92,10 +84,10 @@ def follow(line: Floats, step_m: float, travelled_m: Floats, step_s: float, car:
         if v == 0.0:
             # the model leaves a standing car what it turned with for some milliseconds
             slip = rate = 0.0
-        side = v * slip - rear * rate
+        velocity = velocity_at(v, v * slip, rate, -rear)
         out[i] = (x, y, yaw, v, rate, slip, steer)
-        cy, sy = cos(yaw), sin(yaw)
-        x += step_s * (v * cy - side * sy)
-        y += step_s * (v * sy + side * cy)
+        east, north = rotate(*velocity, yaw)
+        x += step_s * east
+        y += step_s * north
         yaw += step_s * rate
     return Ride(out[:, :3], out[:, 3], out[:, 4], out[:, 5], out[:, 6])

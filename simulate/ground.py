@@ -11,6 +11,7 @@ from polemap.simulate.materials import TILES
 from polemap.simulate.mesh import Mesh, join, quads
 from polemap.simulate.route import CrossSection, Route
 from polemap.simulate.scenario import SectionSpec, SideStreetSpec
+from polemap.vehicle.pose import rotate
 
 Floats = NDArray[np.float64]
 _REPEATS = {
@@ -160,15 +161,15 @@ def side_street(
     steps = np.linspace(kerb - 0.1, kerb + side.length_m, 24)
     offsets = np.linspace(-side.width_m / 2, side.width_m / 2, 5)
     pose = route.at(np.array(side.at_m), 0.0)
-    forward = np.array([np.cos(pose[2]), np.sin(pose[2])])
-    out = np.array([-forward[1], forward[0]]) * sign
+    forward, left = rotate(np.eye(2), pose[2])
+    out = left * sign
     height = section.height_at(sign * steps) + 0.02
     height = np.maximum(height, float(section.height_at(sign * (kerb + 0.3))) - 0.06)
     for a, b in pairwise(offsets):
-        left = pose[:2] + np.outer(steps, out) + a * forward
-        right = pose[:2] + np.outer(steps, out) + b * forward
-        low = np.column_stack([left, height])
-        high = np.column_stack([right, height])
+        near = pose[:2] + np.outer(steps, out) + a * forward
+        far = pose[:2] + np.outer(steps, out) + b * forward
+        low = np.column_stack([near, height])
+        high = np.column_stack([far, height])
         corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
         parts.append(quads(corners, corners[..., :2] * 0.22, TILES["asphalt"], 0.9, 0.22))
     return join(parts)

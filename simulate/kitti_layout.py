@@ -16,6 +16,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.map.landmark_map import PoleMap
 from polemap.stereo.rig import StereoRig
+from polemap.vehicle.pose import rotation
 
 Floats = NDArray[np.float64]
 
@@ -30,8 +31,7 @@ def camera_poses(poses: Floats, rig: StereoRig) -> Floats:
     vehicle_from_camera[:3, :3] = mount.rotation()
     vehicle_from_camera[:3, 3] = (mount.x_m, mount.y_m, mount.z_m)
     out = np.tile(np.eye(4), (len(poses), 1, 1))
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1] = c, -s, s, c
+    out[:, :2, :2] = rotation(poses[:, 2])
     out[:, :2, 3] = poses[:, :2]
     return np.asarray(out @ vehicle_from_camera)
 

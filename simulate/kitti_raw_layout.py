@@ -22,7 +22,7 @@ from polemap.map.io import write_map
 from polemap.map.landmark_map import PoleMap
 from polemap.simulate.kitti_layout import picture_poses, write_pairs
 from polemap.stereo.rig import StereoRig
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotate, wrap_angle
 
 Floats = NDArray[np.float64]
 DAY = datetime(2011, 9, 26, 12, tzinfo=UTC)
@@ -79,8 +79,7 @@ def _oxts_rows(drive: Drive, poses: Floats, rig: StereoRig) -> Floats:
     if odometry is None:
         raise ConfigError(f"drive {drive.name}: no odometry")
     ahead, left = mount.x_m - CAMERA_AHEAD_M - OXTS_BEHIND_M, mount.y_m
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    unit = poses[:, :2] + np.column_stack([c * ahead - s * left, s * ahead + c * left])
+    unit = poses[:, :2] + rotate([ahead, left], poses[:, 2])
     rows = np.zeros((len(poses), _FIELDS - 5))
     rows[:, [_LATITUDE, _LONGITUDE]] = geographic_from_grid(drive.frame, unit)
     rows[:, _ALTITUDE] = _OXTS_ABOVE_M

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from polemap.drivelog.errors import ConfigError
+from polemap.vehicle.pose import move_reference_point, rotate
 
 Floats = NDArray[np.float64]
 _STEP_M = 0.25
@@ -54,9 +55,8 @@ class Route:
         x = np.interp(s, station, points[:, 0])
         y = np.interp(s, station, points[:, 1])
         heading = np.interp(s, station, yaw)
-        x = x - np.sin(heading) * lateral_m
-        y = y + np.cos(heading) * lateral_m
-        return np.stack(np.broadcast_arrays(x, y, heading), axis=-1)
+        middle = np.stack(np.broadcast_arrays(x, y, heading, lateral_m)[:3], axis=-1)
+        return move_reference_point(middle, 0.0, lateral_m)
 
     def curvature_at(self, station_m: Floats) -> Floats:
         """Curvature of the centre line, 1/m."""
@@ -109,9 +109,7 @@ def _arc(before: Floats, corner: Floats, after: Floats, radius_m: float, trim_m:
     side = 1.0 if turn > 0 else -1.0
     left = np.array([-a[1], a[0]]) * side
     centre = start + radius_m * left
-    c, s = np.cos(angles), np.sin(angles)
-    out = -left * radius_m
-    return np.asarray(centre + np.stack([c * out[0] - s * out[1], s * out[0] + c * out[1]], axis=1))
+    return np.asarray(centre + rotate(-left * radius_m, angles))
 
 
 def _resample(path: Floats, closed: bool) -> Route:

@@ -12,7 +12,7 @@ from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.skyline import Fronts, echoes
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotate, wrap_angle
 
 Floats = NDArray[np.float64]
 # of a multipath error, how much lies along the front against across it
@@ -105,14 +105,7 @@ def gnss(
     end = motion.stamp_s[-1]
     stamps = np.arange(rng.uniform(0, 1 / config.rate_hz), end, 1.0 / config.rate_hz)
     pose = motion.at(stamps)
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    antenna = pose[:, :2] + np.stack(
-        [
-            c * config.antenna_x_m - s * config.antenna_y_m,
-            s * config.antenna_x_m + c * config.antenna_y_m,
-        ],
-        axis=1,
-    )
+    antenna = pose[:, :2] + rotate([config.antenna_x_m, config.antenna_y_m], pose[:, 2])
     error = gauss_markov(stamps, config.wander_sd_m, config.wander_time_s, rng, 2)
     error += config.noise_sd_m * rng.standard_normal((len(stamps), 2))
     hdop = 0.9 + 0.2 * np.abs(gauss_markov(stamps, 1.0, 30.0, rng)[:, 0])

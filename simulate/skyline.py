@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.vehicle.pose import rotate, rotate_back
+
 Floats = NDArray[np.float64]
 _ANTENNA_M = 1.5
 # fronts lower than this do no harm, those higher than that as much as a front can
@@ -39,11 +41,13 @@ def echoes(places_m: Floats, fronts: Fronts) -> tuple[Floats, Floats]:
     toward[:, 0] = 1.0
     if len(fronts.x_m) == 0:
         return share, toward
-    c, s = np.cos(fronts.yaw_rad), np.sin(fronts.yaw_rad)
+    middle = np.stack([fronts.x_m, fronts.y_m], axis=-1)
     for row, (x, y) in enumerate(places_m):
-        dx, dy = x - fronts.x_m, y - fronts.y_m
-        along = np.clip(c * dx + s * dy, -fronts.width_m / 2, fronts.width_m / 2)
-        gap_x, gap_y = dx - c * along, dy - s * along
+        offset = (x, y) - middle
+        along = rotate_back(offset, fronts.yaw_rad)[:, 0]
+        along = np.clip(along, -fronts.width_m / 2, fronts.width_m / 2)
+        on_front = np.stack([along, np.zeros_like(along)], axis=-1)
+        gap_x, gap_y = (offset - rotate(on_front, fronts.yaw_rad)).T
         distance = np.maximum(np.hypot(gap_x, gap_y), 0.5)
         rise = np.arctan2(fronts.height_m - _ANTENNA_M, distance)
         worst = int(np.argmax(rise))

@@ -30,6 +30,7 @@ from polemap.tools.options import ForceOption
 from polemap.tools.progress import progress
 from polemap.vehicle.io import car_names, dump_car, load_car
 from polemap.vehicle.parameters import Car
+from polemap.vehicle.slip import sideslip_at
 
 Floats = NDArray[np.float64]
 SETTLED_S = 2.0
@@ -189,7 +190,9 @@ def at_reference(name: str, played: Played, signals: SignalLog, car: Car) -> Flo
     if GPS in ESTIMATORS[name].late or "yaw_rate_radps" not in played.fields:
         return slip
     speed = np.maximum(signals.held("vx_mps"), 1.0)
-    return np.asarray(slip + car.sideslip_point_m * played.column("yaw_rate_radps") / speed)
+    return np.asarray(
+        sideslip_at(slip, played.column("yaw_rate_radps"), speed, car.sideslip_point_m)
+    )
 
 
 def score(

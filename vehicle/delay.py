@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.vehicle.errors import VehicleError
-from polemap.vehicle.kalman import innovate, joseph_update, predict
 
 State = TypeVar("State")
 Event = TypeVar("Event")
@@ -170,98 +169,118 @@ class ClonedFilter:
 
     The state is `[x, S x(t1), S x(t2), ...]` with one slot for each measurement on its way. A
     measurement of `S x` at its capture time, arriving later, updates through its slot: this equals
-    the exact out-of-sequence filter at constant cost.
+    the exact out-of-sequence filter at constant cost. It runs a thousand times a second, so the
+    buffers are laid out once and a step is few small array operations; `kalman` has the plain form.
 
     Args:
         state: `(n,)`.
         covariance: `(n, n)`.
         selection: S `(m, n)`, what the late sensor sees of the state.
         slots: captures that may be on their way at once (delay over frame period, rounded up,
-            plus one).
+            plus one); 0 where nothing is late.
+
+    Attributes:
+        x: `(n + slots m,)`.
+        p: `(n + slots m, n + slots m)`.
+
+    Raises:
+        VehicleError: shapes that do not fit.
 
     Source: W12 (10)-(12) as corrected in errata.md, Delay by cloning.
     """
 
-    def __init__(
-        self, state: Floats, covariance: Floats, selection: Floats, *, slots: int = 1
-    ) -> None:
+    def __init__(self, state: Floats, covariance: Floats, selection: Floats, slots: int) -> None:
         n, m = len(state), len(selection)
-        if selection.shape != (m, n) or covariance.shape != (n, n) or slots < 1:
+        if selection.shape != (m, n) or covariance.shape != (n, n) or slots < 0:
             raise VehicleError(
                 f"clones: state {state.shape}, covariance {covariance.shape}, selection "
                 f"{selection.shape} and {slots} slots do not fit"
             )
-        self._n, self._m = n, m
-        self._selection = selection
-        self._x = np.zeros(n + slots * m)
-        self._p = np.zeros((n + slots * m, n + slots * m))
-        self._x[:n] = state
-        self._p[:n, :n] = covariance
-        self._owners: list[int | None] = [None] * slots
+        size = n + m * slots
+        self.size, self.n, self.m, self.slots = size, n, m, slots
+        self.x = np.zeros(size)
+        self.x[:n] = state
+        self.p = np.zeros((size, size))
+        self.p[:n, :n] = covariance
+        self._g, self._eye = np.eye(size), np.eye(size)
+        self._g_transposed = self._g.T
+        self._work, self._vector = np.zeros((size, size)), np.zeros(size)
+        self._outer, self._row = np.zeros((size, size)), np.zeros(size)
+        self._g_state, self._p_state = self._g[:n, :n], self.p[:n, :n]
+        self._x_state = self.x[:n]
+        self.selection = selection
+        self.owners: list[float | None] = [None] * slots
 
-    @property
-    def state(self) -> Floats:
-        """`(n,)`, a copy."""
-        return self._x[: self._n].copy()
+    def predict(self, transition: Floats, driven: Floats, noise: Floats) -> None:
+        """`x+ = G x + driven`, `P+ = G P G' + Q`; clones hold."""
+        self._g_state[:] = transition
+        np.dot(self._g, self.x, out=self._vector)
+        self.x[:] = self._vector
+        self._x_state += driven
+        np.dot(self._g, self.p, out=self._work)
+        np.dot(self._work, self._g_transposed, out=self.p)
+        self._p_state += noise
 
-    @property
-    def covariance(self) -> Floats:
-        """`(n, n)`, a copy."""
-        return self._p[: self._n, : self._n].copy()
+    def scalar(self, index: int, measured: float, variance: float) -> None:
+        """A direct measurement of one state: `P - (P h)(P h)' / s` is the short form for it."""
+        row = self._row
+        row[:] = self.p[index]
+        s = row.item(index) + variance
+        gain = (measured - self.x.item(index)) / s
+        np.multiply.outer(row, row, out=self._outer)
+        self._outer /= s
+        self.p -= self._outer
+        row *= gain
+        self.x += row
 
-    def predict(self, transition: Floats, noise: Floats, drive: Floats | None = None) -> None:
-        """One step `x+ = G x + drive`, `drive` being H u; clones hold still."""
-        n = self._n
-        self._x[:n] = (
-            transition @ self._x[:n] if drive is None else transition @ self._x[:n] + drive
-        )
-        self._p[:n, :n] = predict(self._p[:n, :n], transition, noise)
-        cross = transition @ self._p[:n, n:]
-        self._p[:n, n:] = cross
-        self._p[n:, :n] = cross.T
+    def capture(self, stamp_s: float) -> None:
+        """Clone `S x`; the oldest capture is given up where no slot is free."""
+        owners = self.owners
+        if None in owners:
+            slot = owners.index(None)
+        else:
+            slot = min(range(self.slots), key=lambda i: owners[i] or 0.0)
+        owners[slot] = stamp_s
+        rows = slice(self.n + slot * self.m, self.n + (slot + 1) * self.m)
+        s, n = self.selection, self.n
+        self.p += self.p.T.copy()
+        self.p *= 0.5
+        self.x[rows] = s @ self.x[:n]
+        self.p[rows, :] = s @ self.p[:n, :]
+        self.p[:, rows] = self.p[rows, :].T
+        self.p[rows, rows] = s @ self.p[:n, :n] @ s.T
 
-    def measure(self, measured: Floats, jacobian: Floats, noise: Floats) -> float:
-        """A measurement `(k,)` of now with `jacobian` `(k, n)`; returns its NIS."""
-        wide = np.zeros((len(measured), len(self._x)))
-        wide[:, : self._n] = jacobian
-        return self._update(measured, wide, noise)
+    def clone(self, stamp_s: float) -> slice | None:
+        """Where the capture of `stamp_s` lies in the state."""
+        for slot, owner in enumerate(self.owners):
+            if owner is not None and abs(owner - stamp_s) < 1e-6:
+                return slice(self.n + slot * self.m, self.n + (slot + 1) * self.m)
+        return None
 
-    def capture(self, token: int) -> None:
-        """Clone `S x` of now under `token`. Process an arrival of the same step first.
+    def update(self, jacobian: Floats, residual: Floats, noise: Floats) -> None:
+        """Joseph update with `jacobian` `(k, size)`."""
+        cross = self.p @ jacobian.T
+        s = jacobian @ cross
+        s += noise
+        if len(s) == 2:
+            # by hand: LAPACK's call costs more than all the rest of the step
+            a, b, c, d = s.ravel().tolist()
+            gain = cross @ np.array([[d, -b], [-c, a]])
+            gain /= a * d - b * c
+        else:
+            gain = np.linalg.solve(s, cross.T).T
+        keep = self._eye - gain @ jacobian
+        p = keep @ self.p @ keep.T
+        p += gain @ noise @ gain.T
+        p += p.T.copy()
+        np.multiply(p, 0.5, out=self.p)
+        self.x += gain @ residual
 
-        The oldest capture is given up where no slot is free.
-        """
-        slot = self._owners.index(None) if None in self._owners else self._oldest()
-        self._owners[slot] = token
-        rows = slice(self._n + slot * self._m, self._n + (slot + 1) * self._m)
-        s = self._selection
-        self._x[rows] = s @ self._x[: self._n]
-        self._p[rows, :] = s @ self._p[: self._n, :]
-        self._p[:, rows] = self._p[:, : self._n] @ s.T
-        self._p[rows, rows] = s @ self._p[: self._n, : self._n] @ s.T
-
-    def arrive(self, token: int, measured: Floats, noise: Floats) -> float | None:
-        """The measurement `(m,)` of the capture `token` arrives; its NIS, or None if given up."""
-        if token not in self._owners:
-            return None
-        slot = self._owners.index(token)
-        self._owners[slot] = None
-        wide = np.zeros((self._m, len(self._x)))
-        start = self._n + slot * self._m
-        wide[:, start : start + self._m] = np.eye(self._m)
-        nis = self._update(measured, wide, noise)
-        # a free slot must not bear on anything: its rows are written anew at the next capture
-        rows = slice(start, start + self._m)
-        self._x[rows] = 0.0
-        self._p[rows, :] = 0.0
-        self._p[:, rows] = 0.0
-        return nis
-
-    def _oldest(self) -> int:
-        tokens = [owner for owner in self._owners if owner is not None]
-        return self._owners.index(min(tokens))
-
-    def _update(self, measured: Floats, wide: Floats, noise: Floats) -> float:
-        innovation = innovate(measured - wide @ self._x, self._p, wide, noise)
-        self._x, self._p = joseph_update(self._x, self._p, innovation, wide, noise)
-        return innovation.nis
+    def release(self, stamp_s: float) -> None:
+        """Free the slot of a capture; it must not bear on anything any more."""
+        rows = self.clone(stamp_s)
+        if rows is not None:
+            self.owners[(rows.start - self.n) // self.m] = None
+            self.x[rows] = 0.0
+            self.p[rows, :] = 0.0
+            self.p[:, rows] = 0.0

@@ -78,8 +78,13 @@ def rotate_covariance(covariance: ArrayLike, yaw_rad: ArrayLike) -> Floats:
 def compose(map_from_a: ArrayLike, a_from_b: ArrayLike) -> Floats:
     """`map_from_b` `(..., 3)`; the yaws are added, not wrapped."""
     a, b = np.asarray(map_from_a, dtype=np.float64), np.asarray(a_from_b, dtype=np.float64)
-    place = transform_points(np.broadcast_to(a, np.broadcast_shapes(a.shape, b.shape)), b[..., :2])
-    return np.concatenate([place, (a[..., 2] + b[..., 2])[..., np.newaxis]], axis=-1)
+    x, y = _placed(a, b[..., 0], b[..., 1])
+    return np.stack([x, y, a[..., 2] + b[..., 2]], axis=-1)
+
+
+def _placed(pose: Floats, ahead_m: Floats, left_m: Floats) -> tuple[Floats, Floats]:
+    x, y, c, s = pose[..., 0], pose[..., 1], np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    return x + c * ahead_m - s * left_m, y + s * ahead_m + c * left_m
 
 
 def inverse(map_from_vehicle: ArrayLike) -> Floats:
@@ -106,9 +111,7 @@ def transform_points(map_from_vehicle: ArrayLike, points_vehicle_m: ArrayLike) -
     points = np.asarray(points_vehicle_m, dtype=np.float64)
     if pose.ndim == 1:
         return np.asarray(points @ rotation(pose[2]).T + pose[:2])
-    x, y, c, s = pose[..., 0], pose[..., 1], np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    ahead, left = points[..., 0], points[..., 1]
-    return np.stack([x + c * ahead - s * left, y + s * ahead + c * left], axis=-1)
+    return np.stack(_placed(pose, points[..., 0], points[..., 1]), axis=-1)
 
 
 def inverse_transform_points(map_from_vehicle: ArrayLike, points_map_m: ArrayLike) -> Floats:
@@ -181,17 +184,15 @@ def rigid_fit(
     """
     p = np.asarray(points_vehicle_m, dtype=np.float64)
     q = np.asarray(points_map_m, dtype=np.float64)
-    if weights is None:
-        p_mean, q_mean = p.mean(axis=-2), q.mean(axis=-2)
-    else:
-        w = np.asarray(weights, dtype=np.float64)
-        p_mean, q_mean = w @ p / w.sum(), w @ q / w.sum()
+    w = None if weights is None else np.asarray(weights, dtype=np.float64)
+    p_mean = p.mean(axis=-2) if w is None else w @ p / w.sum()
+    q_mean = q.mean(axis=-2) if w is None else w @ q / w.sum()
     one, two = p - p_mean[..., np.newaxis, :], q - q_mean[..., np.newaxis, :]
     cross = one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
-    dot = one[..., 0] * two[..., 0] + one[..., 1] * two[..., 1]
-    if weights is None:
-        yaw = np.arctan2(cross.sum(axis=-1), dot.sum(axis=-1))
+    if w is None:
+        yaw = np.arctan2(cross.sum(axis=-1), (one * two).sum(axis=(-2, -1)))
+        turned = rotate(p_mean, yaw)
     else:
-        yaw = np.arctan2(cross @ w, dot @ w)
-    place = q_mean - rotate(p_mean, yaw)
-    return np.concatenate([place, np.asarray(yaw)[..., np.newaxis]], axis=-1)
+        yaw = np.arctan2(cross @ w, (one[..., 0] * two[..., 0] + one[..., 1] * two[..., 1]) @ w)
+        turned = (rotation(yaw) @ p_mean[..., np.newaxis])[..., 0]
+    return np.concatenate([q_mean - turned, np.asarray(yaw)[..., np.newaxis]], axis=-1)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotate_back, wrap_angle
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -73,7 +73,7 @@ def of_reference(reference: ReferenceStream) -> Odometer:
     yaw = np.unwrap(reference.poses[:, 2])
     step = np.diff(reference.poses[:, :2], axis=0)
     middle = 0.5 * (yaw[1:] + yaw[:-1])
-    along = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
+    along = rotate_back(step, middle)[:, 0]
     path = np.concatenate([[0.0], np.cumsum(along)])
     return Odometer("reference.csv", reference.stamp_s, path, yaw, gap_s=1.0, smooth_s=0.5)
 

@@ -14,6 +14,7 @@ from polemap.drivelog.frames import (
     grid_from_geographic,
     utm_frame,
 )
+from polemap.vehicle.pose import rigid_fit, rotate
 
 Floats = NDArray[np.float64]
 
@@ -113,10 +114,8 @@ def _rotation(fixes: Floats, places: Floats) -> list[Finding]:
     for _ in range(10):
         a = places - np.average(places, axis=0, weights=weight)
         b = fixes - np.average(fixes, axis=0, weights=weight)
-        product = np.sum(weight * (a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1]))
-        turn = float(np.angle(product))
-        c, s = np.cos(turn), np.sin(turn)
-        rest = np.hypot(*(b - a @ np.array([[c, s], [-s, c]])).T)
+        turn = float(rigid_fit(places, fixes, weight)[2])
+        rest = np.hypot(*(b - rotate(a, turn)).T)
         spread = float(np.median(rest)) + 1e-3
         weight = 1.0 / (1.0 + (rest / (2.0 * spread)) ** 2)
         extent = float(np.sqrt(np.average((a**2).sum(axis=1), weights=weight)))

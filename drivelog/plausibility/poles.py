@@ -16,7 +16,8 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer
-from polemap.vehicle.motion import sinc
+from polemap.vehicle.motion import move_along_arc
+from polemap.vehicle.pose import inverse_transform_points, rotate_covariance
 
 Floats = NDArray[np.float64]
 
@@ -112,16 +113,13 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     to_s = np.array([scan.stamp_s for scan in pairs.second]) + lag_s
     way, turn, known = motion.spans(from_s, to_s)
     way, turn = way * mistake.way, turn * mistake.turn
-    chord = way * sinc(turn / 2.0)
+    moves = move_along_arc(np.zeros(3), way, turn)
     total = np.full(len(pairs), np.nan)
     for row in np.flatnonzero(known):
         a, cov_a = _points(pairs.first[row], mistake.exchanged)
         b, cov_b = _points(pairs.second[row], mistake.exchanged)
-        half = turn[row] / 2.0
-        c, s = np.cos(turn[row]), np.sin(turn[row])
-        back = np.array([[c, s], [-s, c]])
-        moved = (a - chord[row] * np.array([np.cos(half), np.sin(half)])) @ back.T
-        spread = (back @ cov_a @ back.T)[:, None] + cov_b[None] + _FLOOR_M2 * np.eye(2)
+        moved = inverse_transform_points(moves[row], a)
+        spread = rotate_covariance(cov_a, -turn[row])[:, None] + cov_b[None] + _FLOOR_M2 * np.eye(2)
         off = moved[:, None, :] - b[None, :, :]
         xx, yy, xy = spread[..., 0, 0], spread[..., 1, 1], spread[..., 0, 1]
         square = (

@@ -12,7 +12,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer, common_spans
 from polemap.drivelog.streams import ReferenceStream
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotate_back, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -52,13 +52,13 @@ def find_chords(reference: ReferenceStream) -> Chords | None:
     yaw = np.unwrap(poses[:, 2])
     step, duration = np.diff(poses[:, :2], axis=0), np.diff(stamps)
     middle = 0.5 * (yaw[1:] + yaw[:-1])
-    c, s = np.cos(middle), np.sin(middle)
+    along, across = rotate_back(step, middle).T
     chords = Chords(
         np.arctan2(step[:, 1], step[:, 0]),
         middle,
         np.diff(yaw),
-        step[:, 0] * c + step[:, 1] * s,
-        -step[:, 0] * s + step[:, 1] * c,
+        along,
+        across,
         duration,
     )
     # a jump in place or time is no motion

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from polemap.drivelog.streams import GnssStream, OdometryStream
+from polemap.vehicle.pose import rotate_back
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +46,7 @@ def derived_odometry(stamps_s: Floats, poses: Floats, rng: np.random.Generator) 
     yaw = spline(times)[:, 2]
     rate = spline(times, 1)
     # along the car's own axis: a backward drive has a negative speed
-    speed = rate[:, 0] * np.cos(yaw) + rate[:, 1] * np.sin(yaw)
+    speed = rotate_back(rate[:, :2], yaw)[:, 0]
     scale = 1.0 + SPEED_SCALE_SD * rng.standard_normal()
     bias = YAW_RATE_BIAS_RADPS * (1.0 if rng.random() < 0.5 else -1.0)
     n = len(times)

@@ -21,7 +21,6 @@ from polemap.drivelog.readers import derived
 from polemap.drivelog.readers.kitti import (
     CAMERA_ABOVE_M,
     CAMERA_AHEAD_M,
-    VEHICLE_FROM_CAMERA_AXES,
     WHEELBASE_M,
     entry,
     mounting,
@@ -31,7 +30,7 @@ from polemap.drivelog.readers.kitti import (
     rigid,
 )
 from polemap.drivelog.streams import ReferenceStream
-from polemap.stereo.rig import StereoRig
+from polemap.stereo.rig import Mounting, StereoRig
 
 Floats = NDArray[np.float64]
 
@@ -171,11 +170,8 @@ def _vehicle_from_camera(camera_from_lidar: Floats, camera_poses: Floats | None)
     yaw, pitch = float(np.arctan2(forward[0], forward[2])), 0.0
     if camera_poses is not None:
         yaw, pitch = _motion_axis(camera_poses) or (yaw, pitch)
-    c, s, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    nod = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     position = np.array([CAMERA_AHEAD_M, 0.0, CAMERA_ABOVE_M])
-    return rigid(turn @ nod @ VEHICLE_FROM_CAMERA_AXES, position)
+    return rigid(Mounting(yaw_rad=yaw, pitch_rad=pitch).rotation(), position)
 
 
 def _motion_axis(camera_poses: Floats, step: int = 5) -> tuple[float, float] | None:

@@ -33,6 +33,7 @@ from polemap.drivelog.readers.kitti import (
 from polemap.drivelog.readers.kitti_clock import gap_note, read_timestamps
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.stereo.rig import StereoRig
+from polemap.vehicle.pose import rotate
 
 Floats = NDArray[np.float64]
 
@@ -171,16 +172,14 @@ def _oxts(
     frame = utm_frame(float(data[0, _LATITUDE]), float(data[0, _LONGITUDE]))
     fixes = grid_from_geographic(frame, data[:, _LATITUDE], data[:, _LONGITUDE])
     yaw = grid_yaw(frame, data[:, _YAW], fixes)
-    c, s = np.cos(yaw), np.sin(yaw)
-    east = fixes[:, 0] - (c * antenna[0] - s * antenna[1])
-    north = fixes[:, 1] - (s * antenna[0] + c * antenna[1])
+    rear = fixes[:, :2] - rotate(antenna, yaw)
     # v_axle = v_unit + w x (axle - unit); forward part: -w * (-antenna_y)
     speed = data[:, _FORWARD_MPS] + data[:, _UP_RADPS] * antenna[1]
     return (
         frame,
         OdometryStream(stamps, stamps, speed, data[:, _UP_RADPS]),
         GnssStream(stamps, stamps, fixes[:, 0], fixes[:, 1], np.ones(len(stamps))),
-        ReferenceStream(stamps, np.column_stack([east, north, yaw]), data[:, _ACCURACY_M]),
+        ReferenceStream(stamps, np.column_stack([rear, yaw]), data[:, _ACCURACY_M]),
     )
 
 

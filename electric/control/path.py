@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.vehicle.errors import VehicleError
-from polemap.vehicle.pose import Pose2D, wrap_angle
+from polemap.vehicle.packed import transform_point
+from polemap.vehicle.pose import Pose2D, rotate_back, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -74,8 +75,8 @@ class Path:
         t = float(share[i])
         turn = float(wrap_angle(self._yaw[i + 1] - self._yaw[i]))
         heading = float(wrap_angle(self._yaw[i] + t * turn))
-        dx, dy = np.array([x_m, y_m]) - (start[i] + t * along[i])
-        lateral = float(np.cos(heading) * dy - np.sin(heading) * dx)
+        aside = rotate_back(np.array([x_m, y_m]) - (start[i] + t * along[i]), heading)
+        lateral = float(aside[1])
         return PathError(
             float(self.station_m[i] + t * np.sqrt(length2[i])),
             lateral,
@@ -128,9 +129,8 @@ def stanley_steer(
     Source: Hoffmann, Tomlin, Montemerlo, Thrun, Autonomous automobile trajectory tracking for
     off-road driving, ACC 2007, (9)-(12).
     """
-    front_x = rear_pose.x_m + wheelbase_m * np.cos(rear_pose.yaw_rad)
-    front_y = rear_pose.y_m + wheelbase_m * np.sin(rear_pose.yaw_rad)
-    error = path.locate(float(front_x), float(front_y), rear_pose.yaw_rad, near_m)
+    front_x, front_y = transform_point(rear_pose, wheelbase_m, 0.0)
+    error = path.locate(front_x, front_y, rear_pose.yaw_rad, near_m)
     # steering towards the path's heading at the front axle holds the curvature by itself: the
     # front wheel of a car on a circle stands along the circle's tangent there
     steer = -error.heading_rad

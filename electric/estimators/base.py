@@ -9,7 +9,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.electric.config import EstimatorConfig
 from polemap.vehicle.errors import VehicleError
 
 Floats = NDArray[np.float64]
@@ -17,6 +16,10 @@ Value = float | Floats | tuple[float, ...]
 
 YAW_RATE, LATERAL_ACCELERATION = "yaw_rate", "lateral_acceleration"
 CAMERA, GPS, WHEEL_SPEED = "camera", "gps", "wheel_speed"
+# silence of a late sensor that counts as a loss: over ten pictures, two GPS fixes
+OUTAGE_S = 0.5
+# time constant by which the output joins after a loss; a driver or controller sees no jump then
+BRIDGE_TIME_S = 0.3
 KINDS = (YAW_RATE, LATERAL_ACCELERATION, CAMERA, GPS, WHEEL_SPEED)
 
 
@@ -126,8 +129,7 @@ class OutputBridge:
     what is left of it is added to the standard deviation, so the output stays honest.
     """
 
-    def __init__(self, config: EstimatorConfig, size: int) -> None:
-        self._outage_s, self._time_s = config.outage_s, config.bridge_time_s
+    def __init__(self, size: int) -> None:
         self._offset = np.zeros(size)
         self._since_s = float("-inf")
         self._heard_s = float("nan")
@@ -135,128 +137,26 @@ class OutputBridge:
     def corrected(self, stamp_s: float, before: Floats, after: Floats) -> None:
         """A value of the late sensor moved the state from `before` to `after`."""
         heard, self._heard_s = self._heard_s, stamp_s
-        if stamp_s - heard > self._outage_s and self._time_s > 0.0:
+        if stamp_s - heard > OUTAGE_S:
             self._offset = self.offset(stamp_s) + (before - after)
             self._since_s = stamp_s
 
     def offset(self, stamp_s: float) -> Floats:
         """What is still to be added to the state."""
         age = stamp_s - self._since_s
-        if self._time_s <= 0.0 or age > 20.0 * self._time_s:
+        if age > 20.0 * BRIDGE_TIME_S:
             return np.zeros_like(self._offset)
-        return self._offset * exp(-age / self._time_s)
+        return self._offset * exp(-age / BRIDGE_TIME_S)
 
     def output(
         self, stamp_s: float, fields: tuple[str, ...], mean: Floats, covariance: Floats
     ) -> Estimate:
         """The estimate with the bridge in it."""
-        if stamp_s - self._since_s > 20.0 * self._time_s:
+        if stamp_s - self._since_s > 20.0 * BRIDGE_TIME_S:
             return Estimate(stamp_s, fields, mean, np.sqrt(covariance.diagonal()))
         offset = self.offset(stamp_s)
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return Estimate(stamp_s, fields, mean + offset, sd + np.abs(offset))
-
-
-class FastClones:
-    """A linear Kalman filter with clones of `S x`, in few small array operations a step.
-
-    It does what `vehicle.delay.ClonedFilter` does, which the tests hold it against, with the
-    buffers laid out once: `[x, S x(t1), S x(t2) ...]`.
-
-    Args:
-        state: `(n,)`; covariance: `(n, n)`; selection: S `(m, n)`; slots: captures on their way.
-    """
-
-    def __init__(self, state: Floats, covariance: Floats, selection: Floats, slots: int) -> None:
-        n, m = len(state), len(selection)
-        size = n + m * slots
-        self.size, self.n, self.m, self.slots = size, n, m, slots
-        self.x = np.zeros(size)
-        self.x[:n] = state
-        self.p = np.zeros((size, size))
-        self.p[:n, :n] = covariance
-        self._g, self._eye = np.eye(size), np.eye(size)
-        self._g_transposed = self._g.T
-        self._work, self._vector = np.zeros((size, size)), np.zeros(size)
-        self._outer, self._row = np.zeros((size, size)), np.zeros(size)
-        self._g_state, self._p_state = self._g[:n, :n], self.p[:n, :n]
-        self._x_state = self.x[:n]
-        self.selection = selection
-        self.owners: list[float | None] = [None] * slots
-
-    def predict(self, transition: Floats, driven: Floats, noise: Floats) -> None:
-        """`x+ = G x + driven`, `P+ = G P G' + Q`; clones hold."""
-        self._g_state[:] = transition
-        np.dot(self._g, self.x, out=self._vector)
-        self.x[:] = self._vector
-        self._x_state += driven
-        np.dot(self._g, self.p, out=self._work)
-        np.dot(self._work, self._g_transposed, out=self.p)
-        self._p_state += noise
-
-    def scalar(self, index: int, measured: float, variance: float) -> None:
-        """A direct measurement of one state: `P - (P h)(P h)' / s` is the short form for it."""
-        row = self._row
-        row[:] = self.p[index]
-        s = row.item(index) + variance
-        gain = (measured - self.x.item(index)) / s
-        np.multiply.outer(row, row, out=self._outer)
-        self._outer /= s
-        self.p -= self._outer
-        row *= gain
-        self.x += row
-
-    def capture(self, stamp_s: float) -> None:
-        """Clone `S x`; the oldest capture is given up where no slot is free."""
-        owners = self.owners
-        if None in owners:
-            slot = owners.index(None)
-        else:
-            slot = min(range(self.slots), key=lambda i: owners[i] or 0.0)
-        owners[slot] = stamp_s
-        rows = slice(self.n + slot * self.m, self.n + (slot + 1) * self.m)
-        s, n = self.selection, self.n
-        self.p += self.p.T.copy()
-        self.p *= 0.5
-        self.x[rows] = s @ self.x[:n]
-        self.p[rows, :] = s @ self.p[:n, :]
-        self.p[:, rows] = self.p[rows, :].T
-        self.p[rows, rows] = s @ self.p[:n, :n] @ s.T
-
-    def clone(self, stamp_s: float) -> slice | None:
-        """Where the capture of `stamp_s` lies in the state."""
-        for slot, owner in enumerate(self.owners):
-            if owner is not None and abs(owner - stamp_s) < 1e-6:
-                return slice(self.n + slot * self.m, self.n + (slot + 1) * self.m)
-        return None
-
-    def update(self, jacobian: Floats, residual: Floats, noise: Floats) -> None:
-        """Joseph update with `jacobian` `(k, size)`."""
-        cross = self.p @ jacobian.T
-        s = jacobian @ cross
-        s += noise
-        if len(s) == 2:
-            # by hand: LAPACK's call costs more than all the rest of the step
-            a, b, c, d = s.ravel().tolist()
-            gain = cross @ np.array([[d, -b], [-c, a]])
-            gain /= a * d - b * c
-        else:
-            gain = np.linalg.solve(s, cross.T).T
-        keep = self._eye - gain @ jacobian
-        p = keep @ self.p @ keep.T
-        p += gain @ noise @ gain.T
-        p += p.T.copy()
-        np.multiply(p, 0.5, out=self.p)
-        self.x += gain @ residual
-
-    def release(self, stamp_s: float) -> None:
-        """Free the slot of a capture; it must not bear on anything any more."""
-        rows = self.clone(stamp_s)
-        if rows is not None:
-            self.owners[(rows.start - self.n) // self.m] = None
-            self.x[rows] = 0.0
-            self.p[rows, :] = 0.0
-            self.p[:, rows] = 0.0
 
 
 def pair(kind: str, value: Value) -> tuple[float, float]:

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.electric.config import EstimatorConfig
-from polemap.electric.estimators.base import YAW_RATE, Clock, Estimate, FastClones, Inputs, Value
+from polemap.electric.config import (
+    INITIAL_SIDESLIP_SD_RAD,
+    INITIAL_YAW_RATE_SD_RADPS,
+    EstimatorConfig,
+)
+from polemap.electric.estimators.base import YAW_RATE, Clock, Estimate, Inputs, Value
+from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import lateral, schedule
 
@@ -26,8 +31,8 @@ class BicycleKalman:
         self._schedule = schedule(lateral, car, density, config.step_s)
         self._clock = Clock(config.step_s)
         self._variance = config.gyro_sd_radps**2
-        start = np.diag([config.initial_sideslip_sd_rad**2, config.initial_yaw_rate_sd_radps**2])
-        self._filter = FastClones(np.zeros(2), start, np.zeros((1, 2)), 0)
+        start = np.diag([INITIAL_SIDESLIP_SD_RAD**2, INITIAL_YAW_RATE_SD_RADPS**2])
+        self._filter = ClonedFilter(np.zeros(2), start, np.zeros((1, 2)), 0)
         self.dropped: dict[str, int] = {}
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:

@@ -6,16 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.electric.config import EstimatorConfig
-from polemap.electric.estimators.base import (
-    CAMERA,
-    YAW_RATE,
-    Estimate,
-    FastClones,
-    Inputs,
-    Value,
-    pair,
-)
+from polemap.electric.estimators.base import CAMERA, YAW_RATE, Estimate, Inputs, Value, pair
 from polemap.electric.estimators.vision import SEEN, VisionFilter, initial_covariance
+from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
@@ -29,7 +22,7 @@ class CloneKalman(VisionFilter):
 
     def __init__(self, car: Car, config: EstimatorConfig) -> None:
         super().__init__(car, config)
-        self._filter = FastClones(
+        self._filter = ClonedFilter(
             np.zeros(4), initial_covariance(config), SEEN, config.camera_slots
         )
         self._jacobians = [

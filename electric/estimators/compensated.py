@@ -97,7 +97,7 @@ class CompensatedKalman:
         self._rows, self._covariances, self._per_log = _table(car, config)
         self._schedule = schedule(combined_vision, car, vision_density(config), config.step_s)
         self._clock = Clock(config.step_s)
-        self._bridge = OutputBridge(config, 4)
+        self._bridge = OutputBridge(4)
         self._b = self._r = self._h = self._y = 0.0
         self._eb = self._er = self._eh = self._ey = 0.0
         self._row = self._rows[0]

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from math import cos, sin
-
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.electric.config import EstimatorConfig
-from polemap.electric.estimators.base import WHEEL_SPEED, Clock, Estimate, FastClones, Inputs, Value
+from polemap.electric.estimators.base import WHEEL_SPEED, Clock, Estimate, Inputs, Value
+from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import planar_velocity_step
 
 Floats = NDArray[np.float64]
+
+# of a driven wheel's speed, its slip in it
+WHEEL_SPEED_SD_MPS = 0.1
 
 
 class KinematicKalman:
@@ -28,7 +31,7 @@ class KinematicKalman:
     def __init__(self, car: Car, config: EstimatorConfig) -> None:
         self._config = config
         self._clock = Clock(config.step_s)
-        self._filter = FastClones(np.zeros(2), np.diag([4.0, 0.25]), np.zeros((1, 2)), 0)
+        self._filter = ClonedFilter(np.zeros(2), np.diag([4.0, 0.25]), np.zeros((1, 2)), 0)
         self.dropped: dict[str, int] = {}
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
@@ -36,9 +39,7 @@ class KinematicKalman:
         if not t:
             self._filter.x[0] = inputs.speed_mps
             return
-        angle = inputs.yaw_rate_radps * t
-        c, s = cos(angle), sin(angle)
-        ch, sh = t * cos(0.5 * angle), t * sin(0.5 * angle)
+        c, s, ch, sh = planar_velocity_step(inputs.yaw_rate_radps, t)
         pushed = np.array(
             [
                 ch * inputs.ax_mps2 + sh * inputs.ay_mps2,
@@ -58,7 +59,7 @@ class KinematicKalman:
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == WHEEL_SPEED:
-            self._filter.scalar(0, float(value), self._config.wheel_speed_sd_mps**2)  # type: ignore[arg-type]
+            self._filter.scalar(0, float(value), WHEEL_SPEED_SD_MPS**2)  # type: ignore[arg-type]
 
     def estimate(self) -> Estimate:
         vx, vy = self._filter.x.tolist()

@@ -7,7 +7,11 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.electric.config import EstimatorConfig
+from polemap.electric.config import (
+    INITIAL_SIDESLIP_SD_RAD,
+    INITIAL_YAW_RATE_SD_RADPS,
+    EstimatorConfig,
+)
 from polemap.electric.estimators.base import (
     LATERAL_ACCELERATION,
     YAW_RATE,
@@ -28,12 +32,17 @@ from polemap.vehicle.single_track import (
 
 Floats = NDArray[np.float64]
 
+# error poles of a tenth of a second: faster ones only pass the accelerometer's noise on
+OBSERVER_POLE_RADPS = 10.0
+# of a body-mounted accelerometer over a road
+LATERAL_ACCELERATION_SD_MPS2 = 0.1
+
 
 class LinearObserver:
     """State `[beta, gamma]`; both outputs `[gamma, ay]` invert to the state, so poles are free.
 
     With C square the gain `K = (G - exp(-pole T) I) C^-1` puts both error poles at
-    `observer_pole_radps`. Its standard deviation follows from the gain in use (Joseph form).
+    `OBSERVER_POLE_RADPS`. Its standard deviation follows from the gain in use (Joseph form).
 
     Source: N13, section 5.1 and its reference (2), the comparison of the GPS estimator.
     """
@@ -45,10 +54,10 @@ class LinearObserver:
         self._car = car
         self._schedule = schedule(lateral, car, density, config.step_s)
         self._clock = Clock(config.step_s)
-        self._pole = config.observer_pole_radps
-        self._noise = np.diag([config.gyro_sd_radps**2, config.lateral_acceleration_sd_mps2**2])
+        self._pole = OBSERVER_POLE_RADPS
+        self._noise = np.diag([config.gyro_sd_radps**2, LATERAL_ACCELERATION_SD_MPS2**2])
         self._x = np.zeros(2)
-        self._p = np.diag([config.initial_sideslip_sd_rad**2, config.initial_yaw_rate_sd_radps**2])
+        self._p = np.diag([INITIAL_SIDESLIP_SD_RAD**2, INITIAL_YAW_RATE_SD_RADPS**2])
         self._inputs: Inputs | None = None
         self._yaw_rate: float | None = None
         self._elapsed = 0.0

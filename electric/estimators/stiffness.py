@@ -12,18 +12,25 @@ from polemap.electric.estimators.base import (
     YAW_RATE,
     Clock,
     Estimate,
-    FastClones,
     Inputs,
     OutputBridge,
     Value,
     pair,
 )
 from polemap.electric.estimators.vision import initial_covariance, vision_density
+from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.pose import wrap_angle
 from polemap.vehicle.single_track import combined_vision
 
 Floats = NDArray[np.float64]
+
+# the stiffness scale at the start: road, load and tyre make it 0.7 to 1.3 of the nominal one
+STIFFNESS_SD = 0.3
+# what it wanders in one second
+STIFFNESS_WALK = 0.01
+# walks of the model over the other estimators': the scale carries what they carry
+STIFFNESS_MODEL_SCALE = 0.25
 # what late sensors see: heading and offset (camera), course (GPS)
 _CLONED = np.array(
     [[0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 0.0, 0.0]]
@@ -49,15 +56,15 @@ class StiffnessKalman:
     def __init__(self, car: Car, config: EstimatorConfig) -> None:
         self._config, self._car = config, car
         self._soft, self._hard = car.scaled(stiffness=0.5), car.scaled(stiffness=1.5)
-        walks = np.array(vision_density(config)) * config.stiffness_model_scale**2
-        self._density = np.diag([*walks, config.stiffness_walk**2])
+        walks = np.array(vision_density(config)) * STIFFNESS_MODEL_SCALE**2
+        self._density = np.diag([*walks, STIFFNESS_WALK**2])
         start = np.zeros((5, 5))
         start[:4, :4] = initial_covariance(config)
-        start[4, 4] = config.stiffness_sd**2
+        start[4, 4] = STIFFNESS_SD**2
         slots = max(config.camera_slots, config.gps_slots)
-        self._filter = FastClones(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), start, _CLONED, slots)
+        self._filter = ClonedFilter(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), start, _CLONED, slots)
         self._clock = Clock(config.step_s)
-        self._bridge = OutputBridge(config, 5)
+        self._bridge = OutputBridge(5)
         self._gyro_variance = config.gyro_sd_radps**2
         self._camera_noise = np.diag([config.heading_sd_rad**2, config.lateral_offset_sd_m**2])
         self._speed = float("nan")

@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 from enum import Enum
-from math import cos, exp, sin
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.electric.config import EstimatorConfig
+from polemap.electric.config import (
+    INITIAL_HEADING_SD_RAD,
+    INITIAL_SIDESLIP_SD_RAD,
+    INITIAL_YAW_RATE_SD_RADPS,
+    EstimatorConfig,
+)
 from polemap.electric.estimators.base import (
     GPS,
     YAW_RATE,
     Clock,
     Estimate,
-    FastClones,
     Inputs,
     OutputBridge,
     Value,
     pair,
 )
+from polemap.vehicle.delay import ClonedFilter
+from polemap.vehicle.packed import rotate
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.pose import wrap_angle
-from polemap.vehicle.single_track import disturbed_course, schedule
+from polemap.vehicle.pose import rotate_covariance, wrap_angle
+from polemap.vehicle.single_track import disturbed_course, planar_velocity_step, schedule
 
 Floats = NDArray[np.float64]
+# how long what the model lacks lasts, about a bend; N13 has it wander freely, ERRATA why it leaks
+DISTURBANCE_TIME_S = 2.0
+# standard deviation of the accelerometer's bias, roll in it: about 2 degrees of g
+ACCELERATION_DISTURBANCE_MPS2 = 0.3
 COURSE_SPEED_MPS = 2.0
 """Below it a GPS course says nothing."""
 COURSE_ROW = np.array([[1.0, 0.0, 1.0, 0.0, 0.0]])
@@ -75,7 +85,7 @@ class TwoLayerKalman:
 
     def __init__(self, car: Car, config: EstimatorConfig, delay: Delay = Delay.EXACT) -> None:
         self._config, self._delay = config, delay
-        tau = config.disturbance_time_s
+        tau = DISTURBANCE_TIME_S
         # a leaky disturbance of standard deviation s is driven by white noise of density 2 s^2/tau
         density = (
             config.sideslip_walk_rad**2,
@@ -86,21 +96,21 @@ class TwoLayerKalman:
         )
         self._schedule = schedule(_course_model(tau), car, density, config.step_s)
         self._clock = Clock(config.step_s)
-        self._bridge = OutputBridge(config, 7)
+        self._bridge = OutputBridge(7)
         slots = config.gps_slots if delay is Delay.EXACT else 0
         start = np.diag(
             [
-                config.initial_sideslip_sd_rad**2,
-                config.initial_yaw_rate_sd_radps**2,
-                config.initial_heading_sd_rad**2,
+                INITIAL_SIDESLIP_SD_RAD**2,
+                INITIAL_YAW_RATE_SD_RADPS**2,
+                INITIAL_HEADING_SD_RAD**2,
                 config.sideslip_disturbance_radps**2,
                 config.yaw_disturbance_radps2**2,
             ]
         )
-        bias = config.acceleration_disturbance_mps2**2
-        self._angles = FastClones(np.zeros(5), start, _CAPTURED, slots)
+        bias = ACCELERATION_DISTURBANCE_MPS2**2
+        self._angles = ClonedFilter(np.zeros(5), start, _CAPTURED, slots)
         speeds = np.diag([4.0, 1.0, bias, bias])
-        self._speeds = FastClones(np.zeros(4), speeds, _VELOCITY, slots)
+        self._speeds = ClonedFilter(np.zeros(4), speeds, _VELOCITY, slots)
         self._carriers: list[tuple[_Carrier, _Carrier]] = []
         self._gyro_variance = config.gyro_sd_radps**2
         self._headed = False
@@ -127,8 +137,7 @@ class TwoLayerKalman:
         self, yaw_rate: float, inputs: Inputs, t: float
     ) -> tuple[Floats, Floats, Floats]:
         """Rotation by -yaw rate over t, the accelerations taken at half of it."""
-        c, s = cos(yaw_rate * t), sin(yaw_rate * t)
-        ch, sh = t * cos(0.5 * yaw_rate * t), t * sin(0.5 * yaw_rate * t)
+        c, s, ch, sh = planar_velocity_step(yaw_rate, t)
         config = self._config
         leak = exp(-t / config.acceleration_disturbance_time_s)
         turn = np.array(
@@ -137,7 +146,7 @@ class TwoLayerKalman:
         ax, ay = inputs.ax_mps2, inputs.ay_mps2
         pushed = np.array([ch * ax + sh * ay, -sh * ax + ch * ay, 0.0, 0.0])
         walk = config.acceleration_walk_mps**2 * t
-        bias = config.acceleration_disturbance_mps2**2 * (1.0 - leak * leak)
+        bias = ACCELERATION_DISTURBANCE_MPS2**2 * (1.0 - leak * leak)
         return turn, pushed, np.diag([walk, walk, bias, bias])
 
     def capture(self, kind: str, stamp_s: float) -> None:
@@ -216,7 +225,7 @@ class TwoLayerKalman:
             now = angles.product @ then + angles.driven
             self._course(COURSE_ROW, float(COURSE_ROW[0] @ now), 0.0)
             beta, variance = float(then[0]), variance - float(cross[0]) ** 2 / s
-        measured = np.array([speed * cos(beta), speed * sin(beta)])
+        measured = np.array(rotate(speed, 0.0, beta))
         then_speeds = speeds.mean.copy()
         then_speeds[:2] = measured
         now_speeds = speeds.product @ then_speeds + speeds.driven
@@ -250,12 +259,10 @@ class TwoLayerKalman:
         speed: float,
         measured: Floats | None,
     ) -> None:
-        c, s = cos(beta), sin(beta)
         if measured is None:
-            measured = np.array([speed * c, speed * s])
-        turn = np.array([[c, -s], [s, c]])
+            measured = np.array(rotate(speed, 0.0, beta))
         across = speed * speed * beta_variance + 1e-4
-        noise = turn @ np.diag([self._config.speed_sd_mps**2, across]) @ turn.T
+        noise = rotate_covariance(np.diag([self._config.speed_sd_mps**2, across]), beta)
         self._speeds.update(jacobian, measured - jacobian @ self._speeds.x, noise)
 
     def _mean(self) -> Floats:

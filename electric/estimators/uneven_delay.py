@@ -8,16 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.electric.config import EstimatorConfig
-from polemap.electric.estimators.base import (
-    CAMERA,
-    YAW_RATE,
-    Estimate,
-    FastClones,
-    Inputs,
-    Value,
-    pair,
-)
+from polemap.electric.estimators.base import CAMERA, YAW_RATE, Estimate, Inputs, Value, pair
 from polemap.electric.estimators.vision import SEEN, VisionFilter, initial_covariance
+from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
@@ -43,7 +36,7 @@ class UnevenDelayKalman(VisionFilter):
 
     def __init__(self, car: Car, config: EstimatorConfig) -> None:
         super().__init__(car, config)
-        self._filter = FastClones(np.zeros(4), initial_covariance(config), SEEN, 0)
+        self._filter = ClonedFilter(np.zeros(4), initial_covariance(config), SEEN, 0)
         self._seen: list[_Seen] = []
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:

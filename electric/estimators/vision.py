@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.electric.config import EstimatorConfig
+from polemap.electric.config import (
+    INITIAL_HEADING_SD_RAD,
+    INITIAL_OFFSET_SD_M,
+    INITIAL_SIDESLIP_SD_RAD,
+    INITIAL_YAW_RATE_SD_RADPS,
+    EstimatorConfig,
+)
 from polemap.electric.estimators.base import Clock, Estimate, Inputs, OutputBridge
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import combined_vision, schedule
@@ -26,10 +32,10 @@ def initial_covariance(config: EstimatorConfig) -> Floats:
     """`(4, 4)`."""
     return np.diag(
         [
-            config.initial_sideslip_sd_rad**2,
-            config.initial_yaw_rate_sd_radps**2,
-            config.initial_heading_sd_rad**2,
-            config.initial_offset_sd_m**2,
+            INITIAL_SIDESLIP_SD_RAD**2,
+            INITIAL_YAW_RATE_SD_RADPS**2,
+            INITIAL_HEADING_SD_RAD**2,
+            INITIAL_OFFSET_SD_M**2,
         ]
     )
 
@@ -45,7 +51,7 @@ class VisionFilter:
         self._clock = Clock(config.step_s)
         self._gyro_variance = config.gyro_sd_radps**2
         self._camera_noise = np.diag([config.heading_sd_rad**2, config.lateral_offset_sd_m**2])
-        self._bridge = OutputBridge(config, 4)
+        self._bridge = OutputBridge(4)
         self.dropped: dict[str, int] = {}
 
     def _model(self, stamp_s: float, inputs: Inputs) -> tuple[Floats, Floats, Floats] | None:

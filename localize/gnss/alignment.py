@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix
 from polemap.localize.gnss.receiver import GnssReceiver
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rigid_fit, rotate, rotation, transform_points, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -83,9 +83,7 @@ class GnssAlignment:
 
     def add_fix(self, fix: GnssFix, odometry_pose: Floats) -> None:
         """Add a fix together with the dead-reckoned rear-axle pose `(3,)` of its moment."""
-        c, s = np.cos(odometry_pose[2]), np.sin(odometry_pose[2])
-        x, y = self._receiver.antenna_m
-        position = odometry_pose[:2] + np.array([c * x - s * y, s * x + c * y])
+        position = odometry_pose[:2] + rotate(self._receiver.antenna_m, odometry_pose[2])
         sd = self._receiver.sd_m(fix.hdop)
         pair = _Pair(fix.stamp_s, np.array([fix.east_m, fix.north_m]), position, sd)
         self._latest = pair
@@ -130,15 +128,14 @@ class GnssAlignment:
         known = yaw_sd < 0.35
         if not known:
             return self._unknown_heading(fixes, path, sd, odometry_pose), kept
-        c, s = np.cos(yaw), np.sin(yaw)
-        rotation = np.array([[c, -s], [s, c]])
+        turn = rotation(yaw)
         pose = np.empty(3)
-        pose[:2] = rotation @ odometry_pose[:2] + shift
+        pose[:2] = turn @ odometry_pose[:2] + shift
         pose[2] = wrap_angle(odometry_pose[2] + yaw)
         # what all fixes share (Gauss-Markov) does not shrink with their number
         position_var = float(np.median(sd)) ** 2 * (1.0 - _SHORT_TERM_SHARE**2 / 2)
         centre = path[kept].mean(axis=0)
-        arm = rotation @ (odometry_pose[:2] - centre)
+        arm = turn @ (odometry_pose[:2] - centre)
         across = np.array([-arm[1], arm[0]])
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = np.eye(2) * position_var + np.outer(across, across) * yaw_sd**2
@@ -180,11 +177,8 @@ def _best_rotation(
     yaw = np.arctan2(along_fix[:, 1], along_fix[:, 0]) - np.arctan2(
         along_path[:, 1], along_path[:, 0]
     )
-    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    relative = path[None] - path[i][:, None]
-    predicted_x = c * relative[..., 0] - s * relative[..., 1] + fixes[i][:, None, 0]
-    predicted_y = s * relative[..., 0] + c * relative[..., 1] + fixes[i][:, None, 1]
-    error2 = (predicted_x - fixes[None, :, 0]) ** 2 + (predicted_y - fixes[None, :, 1]) ** 2
+    predicted = rotate(path[None] - path[i][:, None], yaw[:, None]) + fixes[i][:, None]
+    error2 = ((predicted - fixes[None]) ** 2).sum(axis=-1)
     scaled = error2 / tolerance**2
     best = int(np.argmin(np.minimum(scaled, _OUTLIER_SD**2).sum(axis=1)))
     return float(yaw[best]), scaled[best] < _OUTLIER_SD**2
@@ -200,21 +194,12 @@ def _refine(
         if kept.sum() < 2:
             return yaw, shift, np.inf, kept
         weight = np.where(kept, 1.0 / tolerance**2, 0.0)
-        path_mean = weight @ path / weight.sum()
-        fix_mean = weight @ fixes / weight.sum()
-        p, f = path - path_mean, fixes - fix_mean
-        yaw = float(
-            np.arctan2(
-                weight @ (p[:, 0] * f[:, 1] - p[:, 1] * f[:, 0]),
-                weight @ (p[:, 0] * f[:, 0] + p[:, 1] * f[:, 1]),
-            )
-        )
-        c, s = np.cos(yaw), np.sin(yaw)
-        rotation = np.array([[c, -s], [s, c]])
-        shift = fix_mean - rotation @ path_mean
+        fit = rigid_fit(path, fixes, weight)
+        shift, yaw = fit[:2], float(fit[2])
+        lever = path - weight @ path / weight.sum()
         # neighbouring fixes share most of their noise: as if a quarter of them were independent
-        information = float(weight @ (p**2).sum(axis=1)) / 4.0
+        information = float(weight @ (lever**2).sum(axis=1)) / 4.0
         yaw_sd = max(float(1.0 / np.sqrt(max(information, 1e-9))), 0.02)
-        error = np.hypot(*(path @ rotation.T + shift - fixes).T)
+        error = np.hypot(*(transform_points(fit, path) - fixes).T)
         kept = error < _OUTLIER_SD * tolerance
     return yaw, shift, yaw_sd, kept

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, inf, sin
+from math import inf
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from polemap.localize.output_filter.rejection import weigh_by_gnss
 from polemap.localize.output_filter.state import FilterState, GnssEvent
 from polemap.vehicle.kalman import innovate, joseph_update
 from polemap.vehicle.packed import SIZE, as_mean, pack, unpack
+from polemap.vehicle.pose import reference_point_jacobian
 
 _FOREVER = inf
 # time without an accepted pose after which fixes bound the filter: dead reckoning has then lost
@@ -40,11 +41,8 @@ def update_by_gnss(
         return state._replace(gnss_rejected_since_s=_FOREVER)
     x, y, yaw = state.mean[:3]
     residual = np.array(receiver.residual((x, y, yaw), event.east_m, event.north_m))
-    c, s = cos(yaw), sin(yaw)
-    ax, ay = receiver.antenna_m
     jacobian = np.zeros((2, SIZE))
-    jacobian[0, 0] = jacobian[1, 1] = 1.0
-    jacobian[0, 2], jacobian[1, 2] = -s * ax - c * ay, c * ax - s * ay
+    jacobian[:, :3] = reference_point_jacobian(yaw, *receiver.antenna_m)[:2]
     covariance, alone = unpack(state.upper), np.eye(2) * event.sd_m**2
     counts = state.counts
     if gated and innovate(residual, covariance, jacobian, alone).nis > limit:

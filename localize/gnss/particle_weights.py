@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.samples import GnssFix
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.odometry_history import OdometryHistory
+from polemap.vehicle.pose import relative
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +45,7 @@ class FixWeights:
             if last is None or stamp_s - fix.stamp_s > MAX_AGE_S:
                 continue
             share = self._independent_share(fix.stamp_s - last)
-            moved = _relative_motion(now, history.odometry_pose(fix.stamp_s))
+            moved = relative(now, history.odometry_pose(fix.stamp_s))
             self._newest = (fix, moved)
             log_weights = log_weights + share * gnss_log_likelihood(
                 rear_poses, fix, self._receiver, moved
@@ -87,10 +88,3 @@ def gnss_log_likelihood(
     antenna = receiver.positions(rear_poses, moved)
     d2 = ((antenna - (fix.east_m, fix.north_m)) ** 2).sum(axis=1) / receiver.sd_m(fix.hdop) ** 2
     return receiver.mixture(d2)
-
-
-def _relative_motion(start: Floats, end: Floats) -> Floats:
-    """Motion `(3,)` from one odometry pose to another, in the axes of the first."""
-    c, s = np.cos(start[2]), np.sin(start[2])
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    return np.array([c * dx + s * dy, -s * dx + c * dy, end[2] - start[2]])

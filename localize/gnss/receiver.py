@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import cos, exp, log, sin
+from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.config import GnssConfig
+from polemap.vehicle.packed import transform_point
+from polemap.vehicle.pose import compose
 
 Floats = NDArray[np.float64]
 
@@ -46,23 +48,14 @@ class GnssReceiver:
     def positions(self, rear_poses: Floats, moved: Floats) -> Floats:
         """Antenna positions `(n, 2)` of rear-axle poses `(n, 3)` that then move by `moved` `(3,)`
         in the axes of the vehicle before it moves."""
-        ax, ay = self.antenna_m
-        c, s = np.cos(rear_poses[:, 2]), np.sin(rear_poses[:, 2])
-        c_moved, s_moved = np.cos(moved[2]), np.sin(moved[2])
-        x = moved[0] + c_moved * ax - s_moved * ay
-        y = moved[1] + s_moved * ax + c_moved * ay
-        return np.stack(
-            [rear_poses[:, 0] + c * x - s * y, rear_poses[:, 1] + s * x + c * y], axis=1
-        )
+        return compose(rear_poses, compose(moved, [*self.antenna_m, 0.0]))[:, :2]
 
     def residual(
         self, pose: tuple[float, float, float], east_m: float, north_m: float
     ) -> tuple[float, float]:
         """A fix less the antenna of a rear-axle pose, east and north."""
-        x, y, yaw = pose
-        c, s = cos(yaw), sin(yaw)
-        ax, ay = self.antenna_m
-        return (east_m - x - c * ax + s * ay, north_m - y - s * ax - c * ay)
+        east, north = transform_point(pose, *self.antenna_m)
+        return east_m - east, north_m - north
 
     def evidence(
         self, pose: tuple[float, float, float], east_m: float, north_m: float, sd_m: float

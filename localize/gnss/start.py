@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from math import atan2, cos, hypot, pi, sin, sqrt
+from math import hypot, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.output_filter.state import PoseUpper
-from polemap.vehicle.packed import Pose, ctrv_step, wrap
+from polemap.vehicle.packed import Pose, ctrv_step, transform_point, wrap
+from polemap.vehicle.pose import rigid_fit, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -48,8 +49,7 @@ class GnssStart:
         before, speed, rate = self._last
         dt = stamp_s - before
         if dt > 0.0:
-            x, y, yaw = ctrv_step(self._odometry_pose, speed, rate, dt)
-            self._odometry_pose = (x, y, yaw)
+            self._odometry_pose = ctrv_step(self._odometry_pose, speed, rate, dt)
             self._last = (stamp_s, speed, rate)
 
     def add_fix(
@@ -59,10 +59,8 @@ class GnssStart:
         if self._last is None:
             return None
         self._move_to(stamp_s)
-        x, y, yaw = self._odometry_pose
-        c, s = cos(yaw), sin(yaw)
-        ax, ay = self._antenna
-        self._pairs.append((x + c * ax - s * ay, y + s * ax + c * ay, east_m, north_m, sd_m))
+        place = transform_point(self._odometry_pose, *self._antenna)
+        self._pairs.append((*place, east_m, north_m, sd_m))
         if len(self._pairs) < 3:
             return None
         return self._fit()
@@ -72,10 +70,10 @@ class GnssStart:
         weight = 1.0 / table[:, 4] ** 2
         # a fix far from the others' common motion would turn the path: one pass of reweighting
         for _ in range(3):
-            local, fixed, rotation = self._align(table, weight)
-            c, s = cos(rotation), sin(rotation)
-            turned = local @ np.array([[c, s], [-s, c]])
-            misfit = np.hypot(*(fixed - turned).T) / table[:, 4]
+            fit = rigid_fit(table[:, :2], table[:, 2:4], weight)
+            local = table[:, :2] - weight @ table[:, :2] / weight.sum()
+            misfit = np.hypot(*(table[:, 2:4] - transform_points(fit, table[:, :2])).T)
+            misfit /= table[:, 4]
             weight = 1.0 / (table[:, 4] ** 2 * (1.0 + (misfit / 3.0) ** 2))
         total = weight.sum()
         lever = float((weight * (local**2).sum(axis=1)).sum())
@@ -85,23 +83,11 @@ class GnssStart:
         centre_local = (weight[:, None] * table[:, :2]).sum(axis=0) / total
         centre_fixed = (weight[:, None] * table[:, 2:4]).sum(axis=0) / total
         x, y, yaw = self._odometry_pose
-        dx, dy = x - centre_local[0], y - centre_local[1]
-        c, s = cos(rotation), sin(rotation)
-        pose = (
-            float(centre_fixed[0] + c * dx - s * dy),
-            float(centre_fixed[1] + s * dx + c * dy),
-            wrap(yaw + rotation),
-        )
+        dx, dy = x - float(centre_local[0]), y - float(centre_local[1])
+        turned = float(fit[2])
+        centre = (float(centre_fixed[0]), float(centre_fixed[1]), turned)
+        pose = (*transform_point(centre, dx, dy), wrap(yaw + turned))
         arm = hypot(dx, dy)
         # errors of neighbouring fixes are alike: the mean is no better than one of them
         position = float(np.median(table[:, 4])) ** 2 + (arm * yaw_sd) ** 2
         return pose, (position, 0.0, 0.0, position, 0.0, yaw_sd**2)
-
-    @staticmethod
-    def _align(table: Floats, weight: Floats) -> tuple[Floats, Floats, float]:
-        total = weight.sum()
-        local = table[:, :2] - (weight[:, None] * table[:, :2]).sum(axis=0) / total
-        fixed = table[:, 2:4] - (weight[:, None] * table[:, 2:4]).sum(axis=0) / total
-        cross = (weight * (local[:, 0] * fixed[:, 1] - local[:, 1] * fixed[:, 0])).sum()
-        dot = (weight * (local * fixed).sum(axis=1)).sum()
-        return local, fixed, (atan2(cross, dot) + pi) % (2.0 * pi) - pi

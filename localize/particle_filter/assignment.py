@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
+from polemap.vehicle.pose import inverse_transform_points, rotate_covariance, transform_points
 
 try:
     from polemap.localize.particle_filter.native import assignment_kernel
@@ -183,16 +184,14 @@ def pair_gains(
 ) -> tuple[Floats, Floats, Floats]:
     """Worth and fit `(z, m)` of every pair for one pose, and how far `(m,)` are in view, 0 to 1."""
     covariance, log_gain = _prepared(scan, model)
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    rotation = np.array([[c, -s], [s, c]])
-    seen = scan.points_vehicle_m.reshape(-1, 2) @ rotation.T + pose[:2]
+    seen = transform_points(pose, scan.points_vehicle_m.reshape(-1, 2))
     own = np.empty((len(seen), 2, 2))
     own[:, 0, 0], own[:, 1, 1] = covariance[:, 0], covariance[:, 1]
     own[:, 0, 1] = own[:, 1, 0] = covariance[:, 2]
     mapped = np.empty((len(landmarks), 2, 2))
     mapped[:, 0, 0], mapped[:, 1, 1] = landmarks.covariance_m2[:, 0], landmarks.covariance_m2[:, 1]
     mapped[:, 0, 1] = mapped[:, 1, 0] = landmarks.covariance_m2[:, 2]
-    total = (rotation @ own @ rotation.T)[:, np.newaxis] + mapped[np.newaxis]
+    total = rotate_covariance(own, pose[2])[:, np.newaxis] + mapped[np.newaxis]
     offset = landmarks.points_m[np.newaxis] - seen[:, np.newaxis]
     mahalanobis2 = np.einsum("zmi,zmij,zmj->zm", offset, np.linalg.inv(total), offset)
     log_hit, log_miss = np.log(landmarks.detection), np.log1p(-landmarks.detection)
@@ -201,7 +200,7 @@ def pair_gains(
     fit = -0.5 * model.beta_p * mahalanobis2 - 0.5 * np.where(known, width_error, 0.0) ** 2
     fade = np.zeros(len(landmarks))
     if view is not None and len(landmarks):
-        local = (landmarks.points_m - pose[:2]) @ rotation
+        local = inverse_transform_points(pose, landmarks.points_m)
         distance = np.hypot(*(local - view.origin_vehicle_m).T)
         fade = np.where(view.contains(local), 1 - (distance / view.free_range_m.max()) ** 2, 0.0)
     gain = (

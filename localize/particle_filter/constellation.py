@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from polemap.localize.particle_filter.recent_poles import REMEMBERED_M
 from polemap.map.landmark_map import PoleMap
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rigid_fit, transform_points, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -177,10 +177,8 @@ class ConstellationIndex:
         Args:
             against: minus the log-likelihood `(n,)` that other senses give poses.
         """
-        c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-        east = poses[:, :1] + c * points[:, 0] - s * points[:, 1]
-        north = poses[:, 1:2] + s * points[:, 0] + c * points[:, 1]
-        distance, _ = self._nearest(np.stack([east, north], axis=-1), tolerance_m)
+        in_map = transform_points(poses[:, np.newaxis], points)
+        distance, _ = self._nearest(in_map, tolerance_m)
         fit = np.where(distance < tolerance_m, 1.0 - (distance / tolerance_m) ** 2, 0.0)
         score = fit.sum(axis=1)
         if against is not None:
@@ -195,19 +193,12 @@ class ConstellationIndex:
     def _refined(self, pose: Floats, points: Floats, tolerance_m: float) -> Floats:
         """Least-squares pose over the poles that the candidate explains."""
         for _ in range(3):
-            c, s = np.cos(pose[2]), np.sin(pose[2])
-            there = points @ np.array([[c, s], [-s, c]]) + pose[:2]
+            there = transform_points(pose, points)
             distance, row = self._nearest(there, tolerance_m)
             near = distance < tolerance_m
             if near.sum() < 2:
                 break
-            p, q = points[near], self._points[row[near]]
-            pm, qm = p.mean(axis=0), q.mean(axis=0)
-            p, q = p - pm, q - qm
-            yaw = np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum())
-            c, s = np.cos(yaw), np.sin(yaw)
-            shift = qm - np.array([c * pm[0] - s * pm[1], s * pm[0] + c * pm[1]])
-            pose = np.array([shift[0], shift[1], yaw])
+            pose = rigid_fit(points[near], self._points[row[near]])
         return pose
 
 
@@ -229,19 +220,7 @@ def _spread(
 
 def _align(first: Floats, second: Floats, ends: Floats) -> Floats:
     """Poses `(k, 3)` that put two vehicle points onto pairs of map points `(k, 2, 2)`."""
-    seen, mapped = second - first, ends[:, 1] - ends[:, 0]
-    yaw = wrap_angle(np.arctan2(mapped[:, 1], mapped[:, 0]) - np.arctan2(seen[1], seen[0]))
-    c, s = np.cos(yaw), np.sin(yaw)
-    middle = 0.5 * (first + second)
-    centre = ends.mean(axis=1)
-    return np.stack(
-        [
-            centre[:, 0] - c * middle[0] + s * middle[1],
-            centre[:, 1] - s * middle[0] - c * middle[1],
-            yaw,
-        ],
-        axis=1,
-    )
+    return rigid_fit([first, second], ends)
 
 
 def _distinct(poses: Floats, order: NDArray[np.int64], most: int) -> list[int]:

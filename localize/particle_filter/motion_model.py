@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc
-from polemap.vehicle.motion import sinc
+from polemap.vehicle.motion import arc_displacement
+from polemap.vehicle.pose import move_reference_point
 
 Floats = NDArray[np.float64]
 
@@ -44,32 +45,26 @@ def sample_motion(
     Source: Spangenberg (2016), equations (1)-(6), without the division by the yaw rate.
     """
     count = len(poses)
-    yaw = poses[:, 2].copy()
     # the rear axle carries the arc; the front axle is put back once, at the end
-    east = poses[:, 0] - wheelbase_m * np.cos(yaw)
-    north = poses[:, 1] - wheelbase_m * np.sin(yaw)
+    moved = move_reference_point(poses, -wheelbase_m)
+    yaw = moved[:, 2]
     along, beside, turning = factors
     for arc in arcs:
         speed_sd, yaw_rate_sd, turn_sd = noise_of_arc(arc, config)
         noise = rng.standard_normal((4, count))
         distance = (arc.speed_mps + along * speed_sd * noise[0]) * arc.dt_s
-        half = (0.5 * arc.dt_s) * (arc.yaw_rate_radps + turning * yaw_rate_sd * noise[1])
-        chord = distance * sinc(half)
-        heading = yaw + half
-        way = heading - slip_rad_per_mps2 * (arc.speed_mps * arc.yaw_rate_radps)
-        c, s = np.cos(way), np.sin(way)
+        turn = arc.dt_s * (arc.yaw_rate_radps + turning * yaw_rate_sd * noise[1])
+        sideslip = -slip_rad_per_mps2 * (arc.speed_mps * arc.yaw_rate_radps)
         left = (
             beside
             * config.alpha5_slip_m_per_sqrt_m
             * np.sqrt(abs(arc.speed_mps) * arc.dt_s)
             * noise[3]
         )
-        east += chord * c - left * s
-        north += chord * s + left * c
-        yaw = heading + half + turning * turn_sd * noise[2]
-    return np.stack(
-        [east + wheelbase_m * np.cos(yaw), north + wheelbase_m * np.sin(yaw), yaw], axis=1
-    )
+        moved[:, :2] += arc_displacement(yaw, distance, turn, sideslip, left)
+        half = 0.5 * turn
+        moved[:, 2] = yaw + half + half + turning * turn_sd * noise[2]
+    return move_reference_point(moved, wheelbase_m)
 
 
 def noise_of_arc(arc: Arc, config: LocalizeConfig) -> tuple[float, float, float]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.config import OdometryConfig
+from polemap.vehicle.pose import pose_rotation
 
 Floats = NDArray[np.float64]
 
@@ -66,9 +67,7 @@ class NoiseScale:
         if not trusted:
             self._forget()
             return
-        yaw = before[0][2]
-        c, s = np.cos(yaw), np.sin(yaw)
-        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        turn = pose_rotation(-before[0][2])
         moved = after[0] - before[0]
         moved[2] = np.arctan2(np.sin(moved[2]), np.cos(moved[2]))
         self._correction += turn @ moved

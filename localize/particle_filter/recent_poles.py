@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.vehicle.pose import inverse_transform_points, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -36,9 +37,7 @@ class RecentPoles:
             self._last_s > scan.stamp_s - _REMEMBERED_S
         )
         self._take(keep)
-        c, s = np.cos(odometry_pose[2]), np.sin(odometry_pose[2])
-        rotation = np.array([[c, -s], [s, c]])
-        for point in scan.points_vehicle_m.reshape(-1, 2) @ rotation.T + odometry_pose[:2]:
+        for point in transform_points(odometry_pose, scan.points_vehicle_m.reshape(-1, 2)):
             self._merge(point, travelled_m, scan.stamp_s)
         if len(self._points) > _MOST_POLES:
             recent = np.argsort(-self._last_s, kind="stable")[:_MOST_POLES]
@@ -71,5 +70,4 @@ class RecentPoles:
         points = self._points[self._seen >= 2]
         if len(points) < 4:
             points = self._points
-        c, s = np.cos(odometry_pose[2]), np.sin(odometry_pose[2])
-        return np.asarray((points - odometry_pose[:2]) @ np.array([[c, -s], [s, c]]))
+        return inverse_transform_points(odometry_pose, points)

@@ -14,6 +14,7 @@ from polemap.localize.particle_filter.assignment import PoseLikelihoods, pole_lo
 from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
 from polemap.localize.particle_filter.particles import effective_count, normalized
 from polemap.map.landmark_map import PoleMap
+from polemap.vehicle.pose import inverse_transform_points
 
 Floats = NDArray[np.float64]
 
@@ -97,8 +98,7 @@ class PoleWeigher:
     def match(self, pose: Floats, scan: Detections, landmarks: Landmarks) -> Match:
         """Match a scan from a single rear-axle pose `(3,)`."""
         result = self.weigh(pose[np.newaxis], scan, landmarks)
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        local = (landmarks.points_m - pose[:2]) @ np.array([[c, -s], [s, c]])
+        local = inverse_transform_points(pose, landmarks.points_m)
         in_view = int(self._view_of(scan).contains(local).sum())
         return Match(int(result.matched[0]), in_view, float(result.expected[0]))
 

@@ -13,7 +13,7 @@ from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, convergence_rad, transform_points
 from polemap.drivelog.streams import ReferenceStream
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import inverse_transform_points, rotate, rotate_covariance, wrap_angle
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -47,10 +47,7 @@ class ScanViews:
         Range and bearing `(k,)` are those from the origin of the field of view.
         """
         pose = self.poses[scan]
-        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        offset = points_m - pose[:, :2]
-        x = c * offset[:, 0] + s * offset[:, 1] - self.origin_vehicle_m[scan, 0]
-        y = -s * offset[:, 0] + c * offset[:, 1] - self.origin_vehicle_m[scan, 1]
+        x, y = (inverse_transform_points(pose, points_m) - self.origin_vehicle_m[scan]).T
         distance, bearing = np.hypot(x, y), np.arctan2(y, x)
         low, high = self.bearing_min_rad[scan], self.bearing_max_rad[scan]
         bins = self.free_range_m.shape[1]
@@ -149,9 +146,7 @@ def _disparity_gain(detections: MapDetections, focal_baseline_px_m: float) -> Fl
     """Displacement `(n, 2)` a pixel: along the ray from the camera, `r^2 / (f b)`."""
     views, row = detections.views, detections.scan
     pose, origin = views.poses[row], views.origin_vehicle_m[row]
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    turned = np.stack([c * origin[:, 0] - s * origin[:, 1], s * origin[:, 0] + c * origin[:, 1]])
-    ray = detections.points_m - pose[:, :2] - turned.T
+    ray = detections.points_m - pose[:, :2] - rotate(origin, pose[:, 2])
     return np.asarray(ray * np.hypot(ray[:, 0], ray[:, 1])[:, None] / focal_baseline_px_m)
 
 
@@ -222,9 +217,7 @@ def _rows(
     usable &= np.isfinite(covariance).all(axis=(1, 2))
     scan, points, covariance = scan[usable], points[usable], covariance[usable]
     pose = views.poses[scan]
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    turn = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
-    in_map = np.einsum("nij,nj->ni", turn, points)
+    in_map = rotate(points, pose[:, 2])
     sd = reference.sd_at(views.stamp_s)[scan]
     return MapDetections(
         drive=drive,
@@ -232,7 +225,7 @@ def _rows(
         views=views,
         scan=scan,
         points_m=in_map + pose[:, :2],
-        covariance_m2=turn @ covariance @ turn.transpose(0, 2, 1),
+        covariance_m2=rotate_covariance(covariance, pose[:, 2]),
         width_m=width[usable],
         height_m=height[usable],
         range_m=distance[usable],

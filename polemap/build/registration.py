@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from polemap.build.georeference import MapDetections
 from polemap.build.traversals import TraversalLandmarks
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotate, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -45,11 +45,7 @@ class Shift:
 
     def points(self, points_m: Floats) -> Floats:
         """The shift applied to points `(n, 2)`."""
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        offset = points_m - np.array(self.centre_m)
-        turned = np.stack(
-            [c * offset[:, 0] - s * offset[:, 1], s * offset[:, 0] + c * offset[:, 1]], axis=1
-        )
+        turned = rotate(points_m - np.array(self.centre_m), self.yaw_rad)
         return np.asarray(turned + np.array(self.centre_m) + np.array(self.move_m))
 
 

@@ -13,6 +13,8 @@ from scipy.spatial import KDTree
 from polemap.drivelog.detections import VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, transform_points
+from polemap.vehicle.packed import transform_point
+from polemap.vehicle.pose import rotate_back
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -144,14 +146,9 @@ class PoleMap:
     def in_view(self, pose: ArrayLike, view: VisibleRegion) -> Rows:
         """Rows of the poles that a sensor at a vehicle pose `(3,)` could see, sorted."""
         east, north, yaw = (float(value) for value in np.asarray(pose))
-        c, s = np.cos(yaw), np.sin(yaw)
-        origin = view.origin_vehicle_m
-        centre = (east + c * origin[0] - s * origin[1], north + s * origin[0] + c * origin[1])
+        centre = transform_point((east, north, yaw), *view.origin_vehicle_m)
         rows = self.within(centre, float(np.max(view.free_range_m)))
-        offset = self.points_m[rows] - (east, north)
-        in_vehicle = np.stack(
-            [c * offset[:, 0] + s * offset[:, 1], -s * offset[:, 0] + c * offset[:, 1]], axis=1
-        )
+        in_vehicle = rotate_back(self.points_m[rows] - (east, north), yaw)
         return rows[view.contains(in_vehicle)]
 
     def rows(self, rows: ArrayLike) -> PoleMap:

@@ -20,6 +20,7 @@ from polemap.drivelog.detections import Detections
 from polemap.stereo.rig import StereoRig
 from polemap.track.config import TrackingConfig
 from polemap.track.tracks import Motion, Tracks
+from polemap.vehicle.pose import compose, rotation
 
 Floats = NDArray[np.float64]
 
@@ -89,15 +90,7 @@ class DisparityOffset:
 
     def dead_reckon(self, motion: Motion) -> None:
         """Dead reckoning between two frames."""
-        east, north, yaw = self._pose
-        c, s = np.cos(yaw), np.sin(yaw)
-        self._pose = np.array(
-            [
-                east + c * motion.forward_m - s * motion.left_m,
-                north + s * motion.forward_m + c * motion.left_m,
-                yaw + motion.turn_rad,
-            ]
-        )
+        self._pose = compose(self._pose, [motion.forward_m, motion.left_m, motion.turn_rad])
 
     def corrected(self, points_vehicle_m: Floats) -> Floats:
         """Points `(n, 2)` from the camera's own disparities, moved by the present value."""
@@ -152,8 +145,7 @@ class DisparityOffset:
     ) -> None:
         """Add a detection to its track's sum, in the dead-reckoned frame."""
         point = detections.points_vehicle_m[which]
-        c, s = np.cos(self._pose[2]), np.sin(self._pose[2])
-        turn = np.array([[c, -s], [s, c]])
+        turn = rotation(self._pose[2])
         step = turn @ self.shift_per_px(point[np.newaxis])[0]
         travel = self._pose[:2] - total.start_m
         design = np.column_stack([np.eye(2), -step, -travel])

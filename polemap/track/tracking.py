@@ -27,6 +27,7 @@ from polemap.drivelog.detections import Detections
 from polemap.track.config import TrackingConfig
 from polemap.track.tracks import Motion, Tracks
 from polemap.vehicle.kalman import chi_square_quantile
+from polemap.vehicle.pose import rotation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -55,8 +56,7 @@ class PoleTracker:
     def predict_tracks(self, motion: Motion) -> None:
         """Move the tracks into the vehicle frame after `motion`, with the noise of odometry."""
         tracks, config = self.tracks, self._config
-        c, s = np.cos(motion.turn_rad), np.sin(motion.turn_rad)
-        later_from_earlier = np.array([[c, s], [-s, c]])
+        later_from_earlier = rotation(-motion.turn_rad)
         offset = tracks.points_vehicle_m - np.array([motion.forward_m, motion.left_m])
         points = offset @ later_from_earlier.T
         dt = abs(motion.dt_s)

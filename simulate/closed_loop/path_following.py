@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import cos, sin
 from typing import Literal
 
 import numpy as np
@@ -22,6 +21,7 @@ from polemap.simulate.config import DetectorConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState
 from polemap.simulate.points.drive import GNSS, ODOMETRY
+from polemap.vehicle.packed import transform_point
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.pose import Pose2D
 
@@ -171,11 +171,7 @@ class _Drive:
         self._bias = ODOMETRY.yaw_bias_sd_radps * rng.standard_normal()
         self._gnss_error = GNSS.wander_sd_m * rng.standard_normal(2)
         self._speed, self._yaw_rate = scenario.speed_mps, 0.0
-        self._settings = StanleySettings(
-            front_slip_rad_per_mps2=car.mass_kg
-            * car.cg_to_rear_m
-            / (2.0 * car.front_stiffness_nprad * car.wheelbase_m)
-        )
+        self._settings = StanleySettings(front_slip_rad_per_mps2=car.front_slip_rad_per_mps2)
 
     def run(self) -> FollowRun:
         state = self._start()
@@ -211,22 +207,17 @@ class _Drive:
         return FollowRun(stamps, lateral, seen, steering, engaged, share, left)
 
     def _start(self) -> PlantState:
-        x, y, yaw = self._road.start.tolist()
-        ahead = self._parameters.rear_m + 2.0
+        start = Pose2D(*self._road.start.tolist())
+        east, north = transform_point(start, self._parameters.rear_m + 2.0, 0.0)
         rolling = self._plant.rolling(self._scenario.speed_mps)
-        return replace(
-            rolling, east_m=x + ahead * cos(yaw), north_m=y + ahead * sin(yaw), yaw_rad=yaw
-        )
+        return replace(rolling, east_m=east, north_m=north, yaw_rad=start.yaw_rad)
 
     def _rear(self, s: PlantState) -> Pose2D:
-        back = self._parameters.rear_m
-        return Pose2D(
-            s.east_m - back * cos(s.yaw_rad), s.north_m - back * sin(s.yaw_rad), s.yaw_rad
-        )
+        middle = (s.east_m, s.north_m, s.yaw_rad)
+        return Pose2D(*transform_point(middle, -self._parameters.rear_m, 0.0), s.yaw_rad)
 
     def _front(self, rear: Pose2D) -> tuple[float, float]:
-        length = self._car.wheelbase_m
-        return rear.x_m + length * cos(rear.yaw_rad), rear.y_m + length * sin(rear.yaw_rad)
+        return transform_point(rear, self._car.wheelbase_m, 0.0)
 
     def _sense(self, now: float, state: PlantState, ticks: dict[str, float]) -> None:
         rng = self._rng

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from polemap.simulate.points.motion import PointMotion
 from polemap.simulate.sensors import gauss_markov
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import pose_rotation, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -61,8 +61,7 @@ class PoseSource:
         for t, arrival, true, e in zip(
             stamps, stamps + late, motion.at(stamps), unit * sd, strict=True
         ):
-            c, s = np.cos(true[2]), np.sin(true[2])
-            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            turn = pose_rotation(true[2])
             pose = true + turn @ e
             pose[2] = wrap_angle(pose[2])
             poses.append(PointPose(float(t), float(arrival), pose, turn @ np.diag(sd**2) @ turn.T))

@@ -112,32 +112,62 @@ def test_clones_equal_replay(seed, delays):
     clones = ClonedFilter(start, spread, slow, slots=4)
     pending = {}
     for step in range(1, 40):
-        clones.predict(transition, noise)
+        clones.predict(transition, np.zeros(4), noise)
         z_fast = rng.normal(size=1)
         buffer.insert(step, (fast, z_fast, r_fast), kind=0)
-        clones.measure(z_fast, fast, r_fast)
+        wide = np.zeros((1, clones.size))
+        wide[:, :4] = fast
+        clones.update(wide, z_fast - wide @ clones.x, r_fast)
         for capture in pending.pop(step, []):
             z_slow = rng.normal(size=2)
             buffer.insert(capture, (slow, z_slow, r_slow), kind=1)
-            assert clones.arrive(capture, z_slow, r_slow) is not None
+            assert arrive(clones, capture, z_slow, r_slow)
         if step % 3 == 0:
             clones.capture(step)
             pending.setdefault(step + delays[(step // 3) % len(delays)], []).append(step)
         x, p, _ = buffer.state
-        assert np.allclose(clones.state, x, atol=1e-9, rtol=1e-9)
-        assert np.allclose(clones.covariance, p, atol=1e-9, rtol=1e-9)
+        assert np.allclose(clones.x[:4], x, atol=1e-9, rtol=1e-9)
+        assert np.allclose(clones.p[:4, :4], p, atol=1e-9, rtol=1e-9)
+
+
+def arrive(clones, capture, measured, noise):
+    """Whether the capture was still there; updates through its slot and frees it."""
+    rows = clones.clone(capture)
+    if rows is None:
+        return False
+    wide = np.zeros((len(measured), clones.size))
+    wide[:, rows] = np.eye(len(measured))
+    clones.update(wide, measured - clones.x[rows], noise)
+    clones.release(capture)
+    return True
+
+
+@given(st.integers(0, 1000))
+def test_a_direct_measurement_in_short_equals_the_update_with_its_row(seed):
+    rng = np.random.default_rng(seed)
+    transition, noise = linear_model(rng)
+    one, two = (ClonedFilter(np.zeros(4), np.eye(4), np.eye(4)[:2], slots=1) for _ in "ab")
+    for clones in (one, two):
+        clones.capture(0.0)
+        clones.predict(transition, np.ones(4), noise)
+    row = np.eye(1, one.size, 1)
+    one.scalar(1, 0.7, 0.3)
+    two.update(row, 0.7 - row @ two.x, np.array([[0.3]]))
+    assert np.allclose(one.x, two.x, atol=1e-12)
+    assert np.allclose(one.p, two.p, atol=1e-12)
 
 
 def test_a_capture_beyond_the_slots_gives_up_the_oldest():
     clones = ClonedFilter(np.zeros(2), np.eye(2), np.eye(2)[:1], slots=2)
-    for token in (1, 2, 3):
-        clones.predict(np.eye(2), 0.1 * np.eye(2))
+    for token in (1.0, 2.0, 3.0):
+        clones.predict(np.eye(2), np.zeros(2), 0.1 * np.eye(2))
         clones.capture(token)
-    assert clones.arrive(1, np.ones(1), np.eye(1)) is None
-    assert clones.arrive(2, np.ones(1), np.eye(1)) == pytest.approx(1.0 / 2.2)
-    assert clones.state[0] > 0.0
+    assert not arrive(clones, 1.0, np.ones(1), np.eye(1))
+    assert arrive(clones, 2.0, np.ones(1), np.eye(1))
+    # the prior of the capture is 1.2, so the gain is 1.2 / 2.2
+    assert clones.x[0] == pytest.approx(1.2 / 2.2)
 
 
 def test_clones_that_do_not_fit_are_refused():
     with pytest.raises(VehicleError, match="do not fit"):
-        ClonedFilter(np.zeros(2), np.eye(3), np.eye(2))
+        ClonedFilter(np.zeros(2), np.eye(3), np.eye(2), slots=1)

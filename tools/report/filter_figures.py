@@ -25,6 +25,7 @@ from polemap.tools.report.style import (
     thin,
     tidy,
 )
+from polemap.vehicle.pose import rotate, rotate_covariance
 
 Floats = NDArray[np.float64]
 
@@ -75,11 +76,8 @@ def _output_sds(result: RouteResult, kf: SystemResult) -> tuple[Floats, Floats] 
         return None
     stamps, covariance = kept
     yaw = run.kf.at(stamps)[:, 2]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    east, north, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
-    lateral = sin**2 * east + cos**2 * north - 2.0 * sin * cos * both
-    along = cos**2 * east + sin**2 * north + 2.0 * sin * cos * both
-    variances = np.column_stack([lateral, along, covariance[:, 2, 2]])
+    own = rotate_covariance(covariance, -yaw)
+    variances = np.stack([own[:, 1, 1], own[:, 0, 0], own[:, 2, 2]], axis=1)
     return stamps, np.sqrt(np.maximum(np.nan_to_num(variances), 0.0))
 
 
@@ -138,14 +136,8 @@ def _nees(result: RouteResult, kf: SystemResult) -> tuple[str, Floats, Floats] |
     # Back from the vehicle's axes to the map's, at the stamps that have a reference.
     rows = np.clip(np.searchsorted(stamps, goals.stamp_s), 0, len(stamps) - 1)
     yaw = run.kf.at(goals.stamp_s)[:, 2] - goals.yaw_rad
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    error = np.column_stack(
-        [
-            cos * goals.longitudinal_m - sin * goals.lateral_m,
-            sin * goals.longitudinal_m + cos * goals.lateral_m,
-            goals.yaw_rad,
-        ]
-    )
+    along_across = np.stack([goals.longitudinal_m, goals.lateral_m], axis=1)
+    error = np.column_stack([rotate(along_across, yaw), goals.yaw_rad])
     known = np.isfinite(error).all(axis=1) & np.isfinite(covariance[rows]).all(axis=(1, 2))
     error, chosen = error[known], covariance[rows][known]
     definite = np.linalg.eigvalsh(chosen)[:, 0] > 0.0

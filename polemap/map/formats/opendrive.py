@@ -14,6 +14,7 @@ from pyproj import CRS
 
 from polemap.drivelog.errors import InputError
 from polemap.map.landmark_map import PoleMap
+from polemap.vehicle.pose import rotate_back
 
 _DEFAULT_WIDTH_M, _DEFAULT_HEIGHT_M = 0.2, 3.0
 
@@ -50,10 +51,7 @@ def to_xml(pole_map: PoleMap) -> bytes:
     ElementTree.SubElement(geometry, "line")
     _lanes(road)
     objects = ElementTree.SubElement(road, "objects")
-    offset = pole_map.points_m - start
-    c, s = np.cos(heading), np.sin(heading)
-    station = c * offset[:, 0] + s * offset[:, 1]
-    lateral = -s * offset[:, 0] + c * offset[:, 1]
+    station, lateral = rotate_back(pole_map.points_m - start, heading).T
     for row in range(len(pole_map)):
         _object(objects, pole_map, row, float(station[row]), float(lateral[row]))
     ElementTree.indent(root)

@@ -12,16 +12,13 @@ from polemap.electric.estimators.base import (
     KINDS,
     YAW_RATE,
     Estimator,
-    FastClones,
     Inputs,
 )
 from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
-from polemap.electric.estimators.vision import SEEN
 from polemap.electric.signals import play
 from polemap.electric.studies.outcomes import outcome
 from polemap.electric.studies.scenes import Scene, drive_with_camera, drive_with_gps
 from polemap.electric.studies.settings import MATCHED, PATTERN_S
-from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import load_car
 
@@ -55,35 +52,6 @@ def test_clones_stay_exact_with_two_pictures_on_their_way() -> None:
     first, second = play(clones, drive.log), play(make_estimator("replay", COMS, config), drive.log)
     assert np.abs(first.mean - second.mean).max() < 1e-9
     assert not clones.dropped
-
-
-def test_fast_clones_equal_the_generic_filter() -> None:
-    rng = np.random.default_rng(1)
-    p0 = np.diag([1e-3, 1e-2, 1e-2, 0.5])
-    fast = FastClones(np.zeros(4), p0, SEEN, 2)
-    plain = ClonedFilter(np.zeros(4), p0, SEEN, slots=2)
-    noise, jacobian = np.diag([4e-6, 2.5e-5]), np.array([[0.0, 1.0, 0.0, 0.0]])
-    for step in range(60):
-        g = np.eye(4) + 0.01 * rng.standard_normal((4, 4))
-        q, u, gyro = 1e-6 * np.eye(4), rng.standard_normal(4) * 1e-2, rng.standard_normal() * 0.1
-        fast.predict(g, u, q)
-        plain.predict(g, q, u)
-        fast.scalar(1, gyro, 9e-6)
-        plain.measure(np.array([gyro]), jacobian, np.array([[9e-6]]))
-        if step % 7 == 5:
-            value = rng.standard_normal(2) * 0.1
-            rows = fast.clone(float(step - 5))
-            assert rows is not None
-            selection = np.zeros((2, fast.size))
-            selection[0, rows.start] = selection[1, rows.start + 1] = 1.0
-            fast.update(selection, value - fast.x[rows], noise)
-            fast.release(float(step - 5))
-            plain.arrive(step - 5, value, noise)
-        if step % 7 == 0:
-            fast.capture(float(step))
-            plain.capture(step)
-    np.testing.assert_allclose(fast.x[:4], plain.state, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(fast.p[:4, :4], plain.covariance, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
