@@ -20,6 +20,7 @@ from polemap.drivelog.samples import Image, Sample, StereoFrame
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.parsing.errors import named
 from polemap.stereo.rig import StereoRig
+from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
 
@@ -72,6 +73,7 @@ class Drive:
     Attributes:
         frame: earth frame of GNSS and reference.
         wheelbase_m: rear axle to front axle.
+        car: parameters of the car, None where the drive names no car file.
         rig: stereo camera, None where the drive has no images.
         gnss_antenna_m: `(2,)` antenna in the vehicle frame.
         frame_stamps_s, frame_arrivals_s: `(n,)` of the stereo pairs, sorted by stamp.
@@ -101,6 +103,7 @@ class Drive:
     laps: tuple[Lap, ...] = ()
     notes: tuple[str, ...] = ()
     problems: Mapping[str, int] = field(default_factory=dict)
+    car: Car | None = None
     findings: tuple[Finding, ...] = ()
 
     @property

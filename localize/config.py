@@ -10,7 +10,14 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from polemap.drivelog.errors import ConfigError
 from polemap.localize.output_filter.config import OutputConfig
+from polemap.vehicle.parameters import Car
+
+# between the cars of vehicle/cars: 0.0052 a RAV4, 0.0057 the identified 250 LM, 0.0076 a Passat
+ANY_SLIP_RAD_PER_MPS2 = 0.006
+# three degrees at 1 m/s^2: no tyre on a road is so soft
+SLIP_MAX_RAD_PER_MPS2 = 0.05
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid")
 
@@ -56,14 +63,18 @@ class OdometryConfig(BaseModel):
     speed_scale_sd: float = Field(
         0.02, ge=0.0, le=0.5, description="Relative error of the speed before it is learned, sd."
     )
-    slip_rad_per_mps2: float = Field(
-        0.006,
+    slip_rad_per_mps2: float | None = Field(
+        None,
         ge=0.0,
-        le=0.05,
-        description="Outward slip of the rear axle per lateral acceleration, m l_f / (l C_r), "
-        "rad per m/s^2: by vehicle/cars 0.0052 for a RAV4, 0.0057 for the identified 250 LM, "
-        "0.0076 for a Passat.",
+        le=SLIP_MAX_RAD_PER_MPS2,
+        description="Outward slip of the rear axle per lateral acceleration, rad per m/s^2. Left "
+        "out it is m l_f / (2 C_r l) of the car that the drive names, 0.006 where it names none.",
     )
+
+    @property
+    def rear_slip_rad_per_mps2(self) -> float:
+        """The setting, or what any car has."""
+        return ANY_SLIP_RAD_PER_MPS2 if self.slip_rad_per_mps2 is None else self.slip_rad_per_mps2
 
 
 class PolesConfig(BaseModel):
@@ -200,3 +211,21 @@ class LocalizeConfig(BaseModel):
     recovery: RecoveryConfig = RecoveryConfig()
     health: HealthConfig = HealthConfig()
     output: OutputConfig = OutputConfig()
+
+
+def for_car(config: LocalizeConfig, car: Car | None) -> LocalizeConfig:
+    """The settings with what was left open told by a car file, or by what any car has.
+
+    Raises:
+        ConfigError: a car whose rear axle slips as no tyre does.
+    """
+    if config.odometry.slip_rad_per_mps2 is not None:
+        return config
+    slip = ANY_SLIP_RAD_PER_MPS2 if car is None else car.rear_slip_rad_per_mps2
+    if car is not None and slip > SLIP_MAX_RAD_PER_MPS2:
+        raise ConfigError(
+            f"car {car.name}: its rear axle slips {slip:.3f} rad per m/s^2, m l_f / (2 C_r l); "
+            f"{SLIP_MAX_RAD_PER_MPS2} at most. rear_stiffness_nprad is of one tyre, in N/rad"
+        )
+    odometry = config.odometry.model_copy(update={"slip_rad_per_mps2": slip})
+    return config.model_copy(update={"odometry": odometry})

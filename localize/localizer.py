@@ -100,11 +100,11 @@ class Localizer:
             if pole_map is not None
             else None
         )
-        self._filter = OutputFilter(config.output, receiver, config.odometry.slip_rad_per_mps2)
+        self._filter = OutputFilter(config.output, receiver, config.odometry.rear_slip_rad_per_mps2)
         self._limiter = OutputLimiter()
         # what the particle filter has learned
         self._correction = OdometryCorrection()
-        self._slip_rad_per_mps2 = config.odometry.slip_rad_per_mps2
+        self._slip_rad_per_mps2 = config.odometry.rear_slip_rad_per_mps2
         self._perception = perception
         self._delay_s = processing_delay_s
         self._on_update = on_update

@@ -14,7 +14,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import GnssFix, OdometrySample
-from polemap.localize.config import LocalizeConfig
+from polemap.localize.config import LocalizeConfig, for_car
 from polemap.localize.localizer import Localizer, PoseUpdate
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
@@ -99,7 +99,7 @@ def replay(
         drive: odometry and GNSS.
         pole_map: in the drive's frame; None for odometry and GNSS alone.
         scans: poles seen, by arrival.
-        config: settings.
+        config: settings; what they leave open comes from the drive's car file.
         seed: of the particle filter.
         clock: monotonic seconds; without it no timings.
         progress: called with the number of samples done since the last call.
@@ -108,6 +108,7 @@ def replay(
         FrameError, InputError: see `check_inputs`.
     """
     check_inputs(drive, pole_map, has_poles=len(scans) > 0)
+    config = for_car(config, drive.car)
     updates: list[PoseUpdate] = []
     localizer = Localizer(
         pole_map,

@@ -91,7 +91,7 @@ def describe_drive(drive: Drive) -> list[str]:
         f"drive      {drive.name} ({drive.path})",
         f"frame      {drive.frame}",
         f"duration   {drive.duration_s:.1f} s from stamp {start:.3f}",
-        f"vehicle    wheelbase {drive.wheelbase_m:.2f} m",
+        f"vehicle    wheelbase {drive.wheelbase_m:.2f} m{_car(drive)}",
     ]
     lines += _camera(drive)
     if drive.has_frames:
@@ -119,6 +119,13 @@ def describe_drive(drive: Drive) -> list[str]:
     lines += [f"note       {note}" for note in drive.notes]
     lines += [f"left out   {n} x {kind.replace('_', ' ')}" for kind, n in drive.problems.items()]
     return lines
+
+
+def _car(drive: Drive) -> str:
+    if drive.car is None:
+        return ""
+    slip = drive.car.rear_slip_rad_per_mps2
+    return f", car {drive.car.name}, rear axle slips {slip:.4f} rad per m/s^2"
 
 
 def _camera(drive: Drive) -> list[str]:

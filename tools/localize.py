@@ -10,6 +10,7 @@ import typer
 
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
+from polemap.localize.config import for_car
 from polemap.localize.replay import check_inputs
 from polemap.map.io import read_map
 from polemap.settings import load_settings
@@ -75,6 +76,8 @@ def command(
     opened = source.open()
     pole_map = read_map(map_file, frame=opened.frame) if map_file is not None else None
     require_plausible(opened.name, find(opened, pole_map), force=force)
+    localize = for_car(settings.localize, opened.car)
+    settings = settings.model_copy(update={"localize": localize})
     looked = Looked((), {})
     if pole_map is not None:
         check_inputs(opened, pole_map, has_poles=opened.has_frames or bool(opened.scans))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from polemap.drivelog.errors import InputError
 from polemap.parsing.errors import named
@@ -21,7 +21,14 @@ class _Part(BaseModel):
 class VehiclePart(_Part):
     """The car."""
 
-    wheelbase_m: float = Field(gt=0.0, allow_inf_nan=False)
+    wheelbase_m: float | None = Field(None, gt=0.0, allow_inf_nan=False)
+    car: str | None = Field(None, min_length=1)
+
+    @model_validator(mode="after")
+    def _has_wheelbase(self) -> VehiclePart:
+        if self.wheelbase_m is None and self.car is None:
+            raise ValueError("needs wheelbase_m or car, the name or file of a car")
+        return self
 
 
 class MountingPart(_Part):

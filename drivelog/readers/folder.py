@@ -13,15 +13,20 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
 from polemap.drivelog.images import ImagePairs
-from polemap.drivelog.readers.drive_yaml import CameraPart, read_drive_yaml
+from polemap.drivelog.readers.drive_yaml import CameraPart, VehiclePart, read_drive_yaml
 from polemap.drivelog.readers.poles import read_scans
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.drivelog.tables import Table, read_table
 from polemap.stereo.rig import Mounting, StereoRig
+from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.io import car_names, load_car
+from polemap.vehicle.parameters import Car
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
+# a typed wheelbase is rounded to centimetres
+_WHEELBASE_TOLERANCE_M = 0.02
 
 
 class FolderReader:
@@ -53,11 +58,13 @@ class FolderReader:
         notes += [f"drive.yaml: unknown key '{key}' is ignored" for key in head.unknown_keys()]
         notes += [view_note] if view_note else []
         antenna = head.gnss_antenna
+        car, wheelbase_m = _car(folder, head.vehicle)
         return Drive(
             name=head.name,
             path=folder,
             frame=frame,
-            wheelbase_m=head.vehicle.wheelbase_m,
+            wheelbase_m=wheelbase_m,
+            car=car,
             rig=rig,
             gnss_antenna_m=np.array([antenna.x_m, antenna.y_m]) if antenna else np.zeros(2),
             frame_stamps_s=frames[0],
@@ -73,6 +80,26 @@ class FolderReader:
             problems=dict(problems),
             findings=tuple(findings),
         )
+
+
+def _car(folder: Path, vehicle: VehiclePart) -> tuple[Car | None, float]:
+    """The car file, looked for in the folder, and the wheelbase."""
+    place = folder / "drive.yaml"
+    if vehicle.car is None:
+        assert vehicle.wheelbase_m is not None  # the model sees to that
+        return None, vehicle.wheelbase_m
+    known = vehicle.car in car_names()
+    try:
+        car = load_car(vehicle.car if known else folder / vehicle.car)
+    except VehicleError as error:
+        raise InputError(f"{place}: vehicle.car: {error}") from error
+    stated = vehicle.wheelbase_m
+    if stated is not None and abs(stated - car.wheelbase_m) > _WHEELBASE_TOLERANCE_M:
+        raise InputError(
+            f"{place}: vehicle.wheelbase_m is {stated} m, car {car.name} has "
+            f"{car.wheelbase_m:.3f} m; leave one of them out, or correct it"
+        )
+    return car, car.wheelbase_m
 
 
 def _rig(camera: CameraPart) -> StereoRig:

@@ -20,8 +20,11 @@ from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.drivelog.samples import Image
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.stereo.rig import StereoRig
+from polemap.vehicle.io import dump_car
+from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
+CAR_FILE = "car.yaml"
 
 
 class FolderWriter:
@@ -166,6 +169,7 @@ def folder_writer(
     name: str,
     frame: EarthFrame,
     wheelbase_m: float,
+    car: Car | None = None,
     rig: StereoRig | None = None,
     gnss_antenna_m: Floats | None = None,
     pole_view: VisibleRegion | None = None,
@@ -182,6 +186,8 @@ def folder_writer(
         "frame": frame.to_dict(),
         "vehicle": {"wheelbase_m": float(wheelbase_m)},
     }
+    if car is not None:
+        head["vehicle"]["car"] = CAR_FILE
     if rig is not None:
         mount = rig.vehicle_from_camera
         head["camera"] = {
@@ -208,6 +214,8 @@ def folder_writer(
     with atomic_folder(Path(path), "drive") as folder:
         text = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
         (folder / "drive.yaml").write_text(text, encoding="utf-8")
+        if car is not None:
+            (folder / CAR_FILE).write_text(dump_car(car), encoding="utf-8")
         writer = FolderWriter(folder, frame)
         yield writer
         writer.finish()
@@ -224,6 +232,7 @@ def write_drive(drive: Drive, path: Path) -> None:
         name=drive.name,
         frame=drive.frame,
         wheelbase_m=drive.wheelbase_m,
+        car=drive.car,
         rig=drive.rig,
         gnss_antenna_m=drive.gnss_antenna_m,
         pole_view=drive.scans[0].view if drive.scans else None,

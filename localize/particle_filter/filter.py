@@ -73,7 +73,7 @@ class ParticleFilter:
         self._landmarks = Landmarks.of(pole_map, config.p_detection, np.empty(0, dtype=np.int64))
         self._config = config
         self._rng = rng
-        self._history = OdometryHistory(config.odometry.slip_rad_per_mps2)
+        self._history = OdometryHistory(config.odometry.rear_slip_rad_per_mps2)
         self._calibration = OdometryCalibration(config.odometry)
         self._noise = NoiseScale(config.odometry)
         self.counts: Counter[str] = Counter()
@@ -102,7 +102,7 @@ class ParticleFilter:
     def slip_rad_per_mps2(self) -> float:
         """Outward slip of the rear axle per lateral acceleration, as the particles guess it."""
         if not self.initialized:
-            return self._config.odometry.slip_rad_per_mps2
+            return self._config.odometry.rear_slip_rad_per_mps2
         return self._particles.slip_rad_per_mps2
 
     def particles(self) -> tuple[Floats, Floats]:

@@ -90,7 +90,7 @@ class ParticleSet:
 
     def _drawn_slips(self, count: int) -> Floats:
         """Slip of newcomers: from what is known of any car, for which none is negative."""
-        mean, sd = self._config.odometry.slip_rad_per_mps2, _SLIP_SD_RAD_PER_MPS2
+        mean, sd = self._config.odometry.rear_slip_rad_per_mps2, _SLIP_SD_RAD_PER_MPS2
         return np.abs(mean + sd * self._rng.standard_normal(count))
 
 

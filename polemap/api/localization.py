@@ -12,6 +12,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError
 from polemap.localize import localizer as live
 from polemap.localize import replay as replays
+from polemap.localize.config import for_car
 from polemap.map.landmark_map import PoleMap
 from polemap.perception import scan_drive
 from polemap.settings import Settings
@@ -52,7 +53,7 @@ class Localizer(live.Localizer):
             )
         super().__init__(
             pole_map,
-            chosen.localize,
+            for_car(chosen.localize, car.car),
             car.wheelbase_m,
             np.random.default_rng(seed),
             gnss_antenna_m=car.gnss_antenna_m,

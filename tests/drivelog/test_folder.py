@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.drivelog.writers.folder import folder_writer, write_drive
-from tests.drivelog.drives import RIG, VIEW, picture, streams, write_small
+from polemap.vehicle.io import dump_car, load_car
+from tests.drivelog.drives import RIG, VIEW, edit, picture, streams, write_small
 
 
 def test_what_is_written_is_read(folder: Path) -> None:
@@ -132,3 +134,40 @@ def test_victoria_park(recording: Callable[[str], Path]) -> None:
     assert not drive.problems
     assert drive.scans[0].view is not None
     assert any("field of view was estimated" in note for note in drive.notes)
+
+
+def test_a_drive_may_name_a_car(folder: Path, tmp_path: Path) -> None:
+    assert open_drive(folder).car is None
+    passat = load_car("passat")
+    edit(folder / "drive.yaml", "wheelbase_m: 2.7", "car: passat")
+    drive = open_drive(folder)
+    assert drive.car == passat
+    assert drive.wheelbase_m == passat.wheelbase_m
+    assert drive.lap("one").car == passat
+    write_drive(drive, tmp_path / "copy")
+    assert open_drive(tmp_path / "copy").car == passat
+
+
+def test_a_car_file_in_the_folder_is_read_from_there(folder: Path) -> None:
+    mine = replace(load_car("passat"), name="mine", rear_stiffness_nprad=41_000.0)
+    (folder / "mine.yaml").write_text(dump_car(mine), encoding="utf-8")
+    typed = f"wheelbase_m: {mine.wheelbase_m:.2f}\n  car: mine.yaml"
+    edit(folder / "drive.yaml", "wheelbase_m: 2.7", typed)
+    drive = open_drive(folder)
+    assert drive.car == mine
+    assert drive.wheelbase_m == mine.wheelbase_m
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "message"),
+    [
+        ("car: batmobile", r"drive.yaml: vehicle.car: no car .*batmobile; known are .*passat"),
+        ("car: gone.yaml", r"vehicle.car: .*gone.yaml: cannot be read as a car file"),
+        ("wheelbase_m: 3.4\n  car: passat", r"wheelbase_m is 3.4 m, car passat has 2.\d+ m; leave"),
+        ("length_m: 4.0", r"drive.yaml: vehicle: .*needs wheelbase_m or car"),
+    ],
+)
+def test_a_car_that_cannot_be_is_named(folder: Path, vehicle: str, message: str) -> None:
+    edit(folder / "drive.yaml", "wheelbase_m: 2.7", vehicle)
+    with pytest.raises(InputError, match=message):
+        open_drive(folder)
