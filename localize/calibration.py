@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.samples import OdometrySample
 from polemap.localize.config import OdometryConfig
 from polemap.localize.odometry_history import GAP_S, OdometryHistory
-from polemap.vehicle.pose import relative, wrap_angle
+from polemap.vehicle.pose import rotate_back, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -223,8 +223,8 @@ class OdometryCalibration:
 
 
 def _stretch_between(start: _Start, end: _Start) -> _Stretch:
-    moved = relative(start.odometry_pose, end.odometry_pose)
-    ahead = float(moved[0])
+    moved = end.odometry_pose - start.odometry_pose
+    ahead = float(rotate_back(moved[:2], start.odometry_pose[2])[0])
     return _Stretch(
         end.stamp_s - start.stamp_s,
         float(np.copysign(end.travelled_m - start.travelled_m, ahead)),

@@ -20,7 +20,7 @@ from polemap.drivelog.detections import Detections
 from polemap.stereo.rig import StereoRig
 from polemap.track.config import TrackingConfig
 from polemap.track.tracks import Motion, Tracks
-from polemap.vehicle.pose import compose, rotation
+from polemap.vehicle.pose import compose, rotate, rotation
 
 Floats = NDArray[np.float64]
 
@@ -188,5 +188,5 @@ def _line_of_sight(rig: StereoRig) -> tuple[Floats, Floats]:
     camera = rig.vehicle_from_camera
     return (
         np.array([camera.x_m, camera.y_m]),
-        np.array([np.cos(camera.yaw_rad), np.sin(camera.yaw_rad)]),
+        rotate([1.0, 0.0], camera.yaw_rad),
     )

@@ -162,7 +162,7 @@ def test_a_car_file_in_the_folder_is_read_from_there(folder: Path) -> None:
     ("vehicle", "message"),
     [
         ("car: batmobile", r"drive.yaml: vehicle.car: no car .*batmobile; known are .*passat"),
-        ("car: gone.yaml", r"vehicle.car: .*gone.yaml: cannot be read as a car file"),
+        ("car: gone.yaml", r"vehicle.car: .*gone.yaml: cannot be read"),
         ("wheelbase_m: 3.4\n  car: passat", r"wheelbase_m is 3.4 m, car passat has 2.\d+ m; leave"),
         ("length_m: 4.0", r"drive.yaml: vehicle: .*needs wheelbase_m or car"),
     ],
