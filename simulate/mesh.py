@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
+
+from polemap.vehicle.pose import pose_rotation
 
 Floats32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -39,8 +40,7 @@ class Mesh:
         self, x_m: float, y_m: float, z_m: float, yaw_rad: float, scale: float = 1.0
     ) -> Mesh:
         """The same mesh scaled, turned about its own z axis and moved."""
-        c, s = cos(yaw_rad) * scale, sin(yaw_rad) * scale
-        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, scale]], dtype=np.float32)
+        turn = (pose_rotation(yaw_rad) * scale).astype(np.float32)
         moved = self.vertices_m @ turn.T + np.array([x_m, y_m, z_m], dtype=np.float32)
         return Mesh(moved, self.triangles, self.surface, self.tile, self.owner)
 

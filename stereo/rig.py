@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.stereo.errors import StereoError
+from polemap.vehicle.pose import pose_rotation
 
 Floats = NDArray[np.float64]
 
@@ -18,13 +19,11 @@ _AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 def rotation_from_angles(yaw_rad: float, pitch_rad: float, roll_rad: float) -> Floats:
     """Rz(yaw) Ry(pitch) Rx(roll) `(3, 3)`; a positive pitch turns the nose down (ISO 8855)."""
-    cy, sy = cos(yaw_rad), sin(yaw_rad)
     cp, sp = cos(pitch_rad), sin(pitch_rad)
     cr, sr = cos(roll_rad), sin(roll_rad)
-    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1.0]])
     ry = np.array([[cp, 0, sp], [0, 1.0, 0], [-sp, 0, cp]])
     rx = np.array([[1.0, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    return np.asarray(rz @ ry @ rx)
+    return np.asarray(pose_rotation(yaw_rad) @ ry @ rx)
 
 
 @dataclass(frozen=True, slots=True)

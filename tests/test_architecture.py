@@ -70,3 +70,53 @@ def test_every_folder_of_modules_is_a_package() -> None:
 
 def test_type_checkers_of_users_see_the_types() -> None:
     assert (Path(polemap.__file__).parent / "py.typed").is_file()
+
+
+def is_rotation(node: ast.AST) -> bool:
+    """Whether `c, s = cos(a), sin(a)` or the matrix `[[c, -s], [s, c]]` stands here."""
+    if isinstance(node, ast.Tuple):
+        calls = [part for part in node.elts if isinstance(part, ast.Call)]
+        verbs = {getattr(c.func, "attr", getattr(c.func, "id", "")) for c in calls}
+        angles = {ast.dump(argument) for c in calls for argument in c.args}
+        return verbs == {"cos", "sin"} and len(calls) == 2 and len(angles) == 1
+    if isinstance(node, ast.List) and len(node.elts) >= 2:
+        rows = [row.elts[:2] for row in node.elts[:2] if isinstance(row, ast.List)]
+        if len(rows) == 2 and all(len(row) == 2 for row in rows):
+            (a, b), (c, d) = ([ast.dump(cell) for cell in row] for row in rows)
+            minus = "UnaryOp(op=USub(), operand={})"
+            return a == d and (b == minus.format(c) or c == minus.format(b))
+    return False
+
+
+def test_the_core_alone_turns_vectors_in_the_plane() -> None:
+    """`vehicle.pose` and `vehicle.packed` have rotations; what follows is none of the plane's."""
+    others = {
+        "stereo/rig.py",  # pitch and roll
+        "drivelog/tum.py",  # the half angle of a quaternion
+        "electric/estimators/kinematic.py",  # a transition matrix, from the single track's step
+        "electric/estimators/two_layer.py",
+    }
+    rooms = [*(name for name in ROOMS if name != "vehicle"), "polemap", "benchmarks"]
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for room in rooms
+        for path in (ROOT / room).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.expr) and is_rotation(node)
+    ]
+    inside = tuple(f"polemap/{module}/" for module in ROOMS.values())
+    left = {place for place in found if not place.startswith(inside)}
+    assert {place for place in left if place.partition(":")[0] not in others} == set()
+
+
+def test_a_rotation_is_known_when_it_stands_there() -> None:
+    turns = (
+        "c, s = np.cos(yaw), np.sin(yaw)",
+        "c, s = cos(p[2]), sin(p[2])",
+        "np.array([[c, -s], [s, c]])",
+        "np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])",
+    )
+    for text in turns:
+        assert any(is_rotation(node) for node in ast.walk(ast.parse(text))), text
+    for text in ("np.array([[a, b], [b, a]])", "x, y = np.cos(a), np.sin(b)", "[[1, 2], [3, 4]]"):
+        assert not any(is_rotation(node) for node in ast.walk(ast.parse(text))), text

@@ -20,6 +20,8 @@ from polemap.localize.localizer import Localizer
 from polemap.localize.particle_filter.estimate import HealthRecord, PfEstimate
 from polemap.simulate.points.drive import PointDrive
 from polemap.simulate.points.pose_source import PointPose
+from polemap.vehicle.motion import move_along_arc
+from polemap.vehicle.pose import compose
 
 Floats = NDArray[np.float64]
 Fault = Callable[[PointDrive, list[Event]], list[Event]]
@@ -34,9 +36,8 @@ def _wrong_for(seconds: float, turned_rad: float = math.pi / 2) -> Fault:
         for arrival, kind, sample in events:
             if kind == 1 and _FROM_S <= sample.stamp_s < _FROM_S + seconds:
                 # 10 m beside the truth and turned, as sure of itself as ever
-                yaw = sample.pose[2]
-                aside = [-10.0 * math.sin(yaw), 10.0 * math.cos(yaw), turned_rad]
-                sample = replace(sample, pose=sample.pose + np.array(aside))
+                aside = compose(sample.pose, [0.0, 10.0, turned_rad])
+                sample = replace(sample, pose=aside)
             changed.append((arrival, kind, sample))
         return changed
 
@@ -161,10 +162,8 @@ def _one_fault(
 def _unexplained(stamps: Floats, poses: Floats, motion: Floats) -> Floats:
     """How far each output is from where speed and yaw rate lead the one before."""
     dt = np.diff(stamps)
-    heading = poses[:-1, 2] + 0.5 * motion[1:, 1] * dt
-    way = motion[1:, 0] * dt
-    expected = poses[:-1, :2] + np.stack([way * np.cos(heading), way * np.sin(heading)], axis=1)
-    return np.asarray(np.hypot(*(poses[1:, :2] - expected).T))
+    expected = move_along_arc(poses[:-1], motion[1:, 0] * dt, motion[1:, 1] * dt)
+    return np.asarray(np.hypot(*(poses[1:, :2] - expected[:, :2]).T))
 
 
 def _localize(

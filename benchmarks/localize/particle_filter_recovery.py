@@ -21,7 +21,7 @@ from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.simulate.config import DetectorConfig
 from polemap.simulate.points.drive import WHEELBASE_M, PointDrive, PointScenario, simulate_points
 from polemap.simulate.points.motion import WindingRoad
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotate_back, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -109,9 +109,7 @@ def judge(drive: PointDrive, estimates: list[PfEstimate], since_s: float) -> dic
     truth = drive.motion.at(stamps)
     offset = np.array([e.pose for e in estimates]) - truth
     offset[:, 2] = wrap_angle(offset[:, 2])
-    c, s = np.cos(truth[:, 2]), np.sin(truth[:, 2])
-    along = c * offset[:, 0] + s * offset[:, 1]
-    across = c * offset[:, 1] - s * offset[:, 0]
+    along, across = rotate_back(offset[:, :2], truth[:, 2]).T
     inverse = np.linalg.inv(np.array([e.covariance for e in estimates]))
     nees = np.einsum("ni,nij,nj->n", offset, inverse, offset) / 3.0
     bad = (np.hypot(along, across) > 1.0) | (np.abs(offset[:, 2]) > np.radians(3.0))

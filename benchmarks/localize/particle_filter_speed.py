@@ -23,6 +23,7 @@ from polemap.localize.particle_filter.assignment import assign, pair_gains, pole
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
 from polemap.map.landmark_map import PoleMap
+from polemap.vehicle.pose import inverse_transform_points
 
 Floats = NDArray[np.float64]
 
@@ -50,8 +51,7 @@ def _map(rng: np.random.Generator) -> PoleMap:
 
 def _scan(stamp_s: float, world: PoleMap, pose: Floats, rng: np.random.Generator) -> Detections:
     rows = rng.choice(_IN_VIEW, _SEEN, replace=False)
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    local = (world.points_m[rows] - pose[:2]) @ np.array([[c, -s], [s, c]])
+    local = inverse_transform_points(pose, world.points_m[rows])
     return pole_detections(
         stamp_s,
         stamp_s,

@@ -22,6 +22,7 @@ from polemap.build.config import MappingConfig
 from polemap.build.robust_means import weighted_mean
 from polemap.build.traversals import TraversalLandmarks
 from polemap.vehicle.kalman import chi_square_quantile
+from polemap.vehicle.pose import rotate
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -62,8 +63,7 @@ def shared_covariance(
         if traversal_sd_m is None
         else np.full(len(landmarks), traversal_sd_m)
     )
-    c, s = np.cos(landmarks.direction_rad), np.sin(landmarks.direction_rad)
-    across = np.stack([-s, c], axis=1)
+    across = rotate([0.0, 1.0], landmarks.direction_rad)
     turn = (config.reference_yaw_sd_rad * landmarks.lever_m)[:, None, None] ** 2
     plain = (sd**2 + config.systematic_sd_m**2)[:, None, None] * np.eye(2)
     gain = landmarks.gain_m_per_px
