@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from polemap.detect.detection import StereoDetections
@@ -18,6 +18,9 @@ from polemap.perception import PerceivedFrame, PolePerception
 from polemap.settings import Settings
 from polemap.stereo.rig import StereoRig
 from polemap.tools.detect_pictures import overlay
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +39,8 @@ class PolesInPair:
     @property
     def table(self) -> pd.DataFrame:
         """The poles, one a row, best first; positions of their axis in the vehicle frame."""
+        import pandas as pd  # takes as long to import as all the rest
+
         found = self.detections.take(self.detections.probability >= self.probability_min)
         return pd.DataFrame(
             {
