@@ -18,9 +18,7 @@ ROOMS = {
     "simulate": "simulate",
     "tools": "tools",
 }
-ON_DISK = ("tools", "drivelog", "simulate")
-# --config; lap.csv of a run's drive
-READERS = ("polemap/settings.py", "evaluate/routes.py")
+ON_DISK = ("tools/", "drivelog/", "simulate/", "polemap/parsing/")
 TOUCHES_DISK = {
     *("open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink", "rename"),
     *("iterdir", "imread", "imwrite", "loadtxt", "savetxt", "fromfile", "tofile", "savez"),
@@ -37,9 +35,7 @@ def off_disk() -> list[str]:
     return sorted(
         name
         for name in names
-        if not name.startswith((*(f"{room}/" for room in ON_DISK), *inside))
-        and not name.endswith("/io.py")
-        and name not in READERS
+        if not name.startswith((*ON_DISK, *inside)) and not name.endswith("/io.py")
     )
 
 

@@ -31,7 +31,7 @@ from polemap.vehicle.pose import rotate_covariance, wrap_angle
 from polemap.vehicle.single_track import disturbed_course, planar_velocity_step, schedule
 
 Floats = NDArray[np.float64]
-# how long what the model lacks lasts, about a bend; N13 has it wander freely, ERRATA why it leaks
+# how long what the model lacks lasts, about a bend; errata.md says why it leaks
 DISTURBANCE_TIME_S = 2.0
 # standard deviation of the accelerometer's bias, roll in it: about 2 degrees of g
 ACCELERATION_DISTURBANCE_MPS2 = 0.3

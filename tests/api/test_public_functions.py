@@ -122,7 +122,7 @@ def test_perception_needs_a_camera_and_fitting_images(street: tuple[Drive, PoleM
     perception = polemap.Perception(StereoRig(64, 48, 60.0, 32.0, 24.0, 0.3))
     with pytest.raises(StereoError):
         perception.poles(np.zeros((48, 64), np.uint8), np.zeros((48, 32), np.uint8))
-    with pytest.raises(InputError, match="image cannot be read"):
+    with pytest.raises(InputError, match=r"left.png: .*cannot be read"):
         perception.poles("left.png", "right.png")
 
 
