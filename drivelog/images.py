@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -57,10 +57,15 @@ def read_grey(path: Path, size: tuple[int, int] | None = None) -> Image:
         raise InputError(
             f"{path}: {width}x{height} pixels, but the camera of the drive has {size[0]}x{size[1]}"
         )
+    # what the decoders print is one line of ours below
+    log: Any = cv2.utils.logging
+    level = log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
         raise InputError(f"{path}: not an image that can be decoded ({short(error)})") from error
+    finally:
+        log.setLogLevel(level)
     if image is None:
         raise InputError(f"{path}: not an image that can be decoded ({len(data)} bytes)")
     if image.ndim == 3 and image.shape[2] in (3, 4):

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.parsing.errors import named
+from polemap.parsing.errors import named, short
 from polemap.parsing.text import MEGABYTE, read_text
 from polemap.parsing.yaml_text import read_yaml
 from polemap.stereo.errors import StereoError
@@ -42,7 +42,7 @@ def read_kitti_calibration(path: Path, left: int = 0, right: int = 1) -> StereoC
         try:
             values = np.array([float(part) for part in rows[key].split()])
         except ValueError as error:
-            raise StereoError(f"{path}: line '{key}:' holds no numbers ({error})") from error
+            raise StereoError(f"{path}: line '{key}:' holds no numbers ({short(error)})") from error
         if len(values) != count or not np.isfinite(values).all():
             raise StereoError(f"{path}: line '{key}:' needs {count} finite numbers")
         return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import zipfile
 import zlib
@@ -12,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.parsing.errors import ParsingError, short
-from polemap.parsing.text import MEGABYTE
+from polemap.parsing.text import MEGABYTE, read_bytes
 
+LARGEST_BYTES = 2000 * MEGABYTE
 # what compresses to less than a hundredth is no measurement
 SMALL_BYTES = 256 * MEGABYTE
 LARGEST_RATIO = 100
@@ -28,20 +30,21 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         ParsingError: damaged, an array of objects, or larger than the file can mean.
         OSError: it cannot be read.
     """
+    data = read_bytes(path, LARGEST_BYTES)
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             if len(members) > MOST_ARRAYS:
                 raise ParsingError(f"{len(members)} arrays, {MOST_ARRAYS} are the most")
             size = sum(member.file_size for member in members)
-            if size > SMALL_BYTES + LARGEST_RATIO * Path(path).stat().st_size:
+            if size > SMALL_BYTES + LARGEST_RATIO * len(data):
                 raise ParsingError(f"its arrays would take {size} bytes")
             return {
                 member.filename.removesuffix(".npy"): _array(archive, member) for member in members
             }
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
         raise ParsingError(f"no archive of arrays, or damaged ({short(error)})") from error
-    except (ValueError, RuntimeError, LookupError, TypeError, SyntaxError) as error:
+    except (OSError, ValueError, RuntimeError, LookupError, TypeError, SyntaxError) as error:
         raise ParsingError(f"an array in it is damaged ({short(error)})") from error
 
 

@@ -74,7 +74,9 @@ def _check_events(events: Iterator[Any]) -> None:
         elif isinstance(event, yaml.AliasEvent):
             anchor = None
             if event.anchor not in sizes:
-                raise ParsingError(f"{_line(event)}: the alias *{event.anchor} stands for itself")
+                raise ParsingError(
+                    f"{_line(event)}: the alias *{event.anchor} names nothing, or itself"
+                )
             size = sizes[event.anchor]
         else:
             continue

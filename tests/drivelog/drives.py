@@ -24,8 +24,8 @@ def picture(seed: int, dtype: type = np.uint8) -> NDArray[np.uint8] | NDArray[np
 
 def streams(n: int = 40) -> tuple[OdometryStream, GnssStream, ReferenceStream]:
     """A car on a circle at 10 Hz, in UTM coordinates."""
-    t = 100.0 + 0.1 * np.arange(n)
-    yaw = 0.1 * np.arange(n) * 0.2 - 0.5
+    t = 100.0 + 0.1 * np.arange(n, dtype=np.float64)
+    yaw = 0.1 * np.arange(n, dtype=np.float64) * 0.2 - 0.5
     east, north = 458000.0 + 50 * np.sin(yaw), 5.43e6 - 50 * np.cos(yaw)
     return (
         OdometryStream(t, t + 0.01, np.full(n, 10.0), np.full(n, 0.2)),

@@ -1,0 +1,1 @@
+"""Long campaigns against faults, damaged files and kills: see docs/files.md."""
