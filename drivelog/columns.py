@@ -72,13 +72,12 @@ class Columns:
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
         """The rows of all parts, one after the other, under the header of the first one."""
-        return replace(  # type: ignore[type-var]
-            parts[0],
-            **{
-                name: np.concatenate([getattr(part, name) for part in parts])
-                for name in column_names(cls)
-            },
-        )
+        header = {name: getattr(parts[0], name) for name in cls.HEADER}
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in column_names(cls)
+        }
+        return cls(**header, **columns)
 
 
 def column_names(table: type[Any]) -> tuple[str, ...]:

@@ -8,8 +8,8 @@ from models that never saw the drive (or the half of it) on which they are judge
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from polemap.detect.classifier import PoleClassifier, fit_classifier
 from polemap.detect.config import DetectionConfig
 from polemap.detect.detection import detect
 from polemap.detect.features import NAMES
+from polemap.drivelog.columns import Columns
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.map.landmark_map import PoleMap
@@ -51,7 +52,7 @@ class TrainingConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class Samples(Columns):
     """Labelled hypotheses, one a row.
 
     Attributes:
@@ -62,20 +63,13 @@ class Samples:
         groups: names of the groups.
     """
 
+    HEADER: ClassVar[frozenset[str]] = frozenset({"groups"})
+
     features: Floats
     is_pole: NDArray[np.bool_]
     group: NDArray[np.int64]
     pole: NDArray[np.int64]
     groups: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.is_pole)
-
-    def take(self, rows: NDArray[np.bool_]) -> Samples:
-        """The chosen rows; groups keep their numbers."""
-        return Samples(
-            self.features[rows], self.is_pole[rows], self.group[rows], self.pole[rows], self.groups
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,13 +165,11 @@ def collect(
 def join(samples: Sequence[Samples]) -> Samples:
     """Samples of several drives, their groups numbered on."""
     first = np.cumsum([0, *(len(s.groups) for s in samples)])
-    return Samples(
-        np.concatenate([s.features for s in samples]),
-        np.concatenate([s.is_pole for s in samples]),
-        np.concatenate([s.group + shift for s, shift in zip(samples, first, strict=False)]),
-        np.concatenate([s.pole for s in samples]),
-        tuple(name for s in samples for name in s.groups),
-    )
+    shifted = [
+        s.with_columns(group=s.group + shift) for s, shift in zip(samples, first, strict=False)
+    ]
+    groups = tuple(name for s in samples for name in s.groups)
+    return replace(Samples.concatenate(shifted), groups=groups)
 
 
 def train(samples: Samples, config: TrainingConfig, origin: Mapping[str, Any]) -> PoleClassifier:

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.detections import Detections
+from polemap.drivelog.detections import Detections, LandmarkKind
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.calibration import OdometryCalibration, OdometryCorrection
 from polemap.localize.config import LocalizeConfig
@@ -141,6 +141,7 @@ class ParticleFilter:
         Returns:
             None while no position is known, and for a scan that is not newer than the last one.
         """
+        scan = scan.of_kind(LandmarkKind.POLE)  # what the map and its sensor model are of
         stamp = scan.stamp_s
         if not np.isfinite(stamp) or stamp <= self._stamp_s:
             self.counts["scans_late"] += 1

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from polemap.build.city.tiles import Run, here, merge_tiles
 from polemap.build.config import MappingConfig
 from polemap.build.drift import measure_drift
-from polemap.build.drive_observations import DriveObservations, join_cannot_link, join_landmarks
+from polemap.build.drive_observations import DriveObservations, join_cannot_link
 from polemap.build.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.build.history import COLUMN, OldMap, open_history, write_history
 from polemap.build.map_columns import building_reports, distinct, evidence_columns, weighted
@@ -80,7 +80,7 @@ def assemble_map(
     )
     if drifts is not None:
         ordered = [part.without_drift(drift) for part, drift in zip(ordered, drifts, strict=True)]
-    landmarks = join_landmarks(
+    landmarks = TraversalLandmarks.concatenate(
         [part.landmarks for part in ordered] + ([old.landmarks] if old else [])
     )
     stood = update.existence >= config.existence_min if update is not None else np.empty(0, bool)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,25 +98,6 @@ def observe_drive(
     landmarks, rows = average_traversals(detections, numbers)
     return DriveObservations(
         detections, landmarks, rows, cannot_link_pairs(rows, detections.scan, len(landmarks))
-    )
-
-
-def join_landmarks(parts: Sequence[TraversalLandmarks]) -> TraversalLandmarks:
-    """The landmarks of several drives, one after the other."""
-    return TraversalLandmarks(
-        **{
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(TraversalLandmarks)
-        }
-    )
-
-
-def take_landmarks(
-    landmarks: TraversalLandmarks, rows: Whole | NDArray[np.bool_]
-) -> TraversalLandmarks:
-    """Some rows of the landmarks."""
-    return TraversalLandmarks(
-        **{field.name: getattr(landmarks, field.name)[rows] for field in fields(TraversalLandmarks)}
     )
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.config import MappingConfig
-from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.drivelog.columns import Columns
+from polemap.drivelog.detections import Detections, LandmarkKind, VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, convergence_rad, transform_points
 from polemap.drivelog.streams import ReferenceStream
@@ -20,7 +22,7 @@ Whole = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class ScanViews:
+class ScanViews(Columns):
     """Every moment at which the detector looked, whether it saw a pole or not.
 
     Attributes:
@@ -37,9 +39,6 @@ class ScanViews:
     bearing_max_rad: Floats
     range_min_m: Floats
     free_range_m: Floats
-
-    def __len__(self) -> int:
-        return len(self.stamp_s)
 
     def in_view_at(self, scan: Whole, points_m: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
         """Which points `(k, 2)` of the map were in view in scans `(k,)`; range and bearing too.
@@ -58,7 +57,7 @@ class ScanViews:
 
 
 @dataclass(frozen=True, slots=True)
-class MapDetections:
+class MapDetections(Columns):
     """What one drive saw; every array has a row a detection, sorted by scan.
 
     Attributes:
@@ -73,6 +72,8 @@ class MapDetections:
             stereo camera saw it.
     """
 
+    HEADER: ClassVar[frozenset[str]] = frozenset({"drive", "frame", "views", "without_pose"})
+
     drive: str
     frame: EarthFrame
     views: ScanViews
@@ -86,9 +87,6 @@ class MapDetections:
     reference_sd_m: Floats
     gain_m_per_px: Floats
     without_pose: int = 0
-
-    def __len__(self) -> int:
-        return len(self.scan)
 
     @property
     def stamp_s(self) -> Floats:
@@ -133,6 +131,7 @@ def georeference_scans(
             "reference that covers them"
         )
     chosen = [scan for scan, usable in zip(every, known, strict=True) if usable]
+    chosen = [scan.of_kind(LandmarkKind.POLE) for scan in chosen]
     poses = _poses_in(poses[known], drive_frame, frame)
     views = _views(stamps[known], poses, chosen)
     detections = _rows(drive, frame, chosen, views, reference, config)
@@ -153,18 +152,9 @@ def _disparity_gain(detections: MapDetections, focal_baseline_px_m: float) -> Fl
 def take_scans(detections: MapDetections, chosen: NDArray[np.bool_]) -> tuple[MapDetections, Whole]:
     """The drive with some of its scans only, and the rows of the detections that are left."""
     taken = np.flatnonzero(chosen[detections.scan])
-    views = ScanViews(
-        **{f.name: getattr(detections.views, f.name)[chosen] for f in fields(ScanViews)}
-    )
-    plain = ("drive", "frame", "views", "scan", "without_pose")
-    columns = {
-        field.name: getattr(detections, field.name)[taken]
-        for field in fields(MapDetections)
-        if field.name not in plain
-    }
     number = np.cumsum(chosen) - 1
-    kept = replace(detections, views=views, scan=number[detections.scan[taken]], **columns)
-    return kept, taken
+    kept = detections.take(taken).with_columns(scan=number[detections.scan[taken]])
+    return replace(kept, views=detections.views.take(chosen)), taken
 
 
 def _poses_in(poses: Floats, source: EarthFrame, target: EarthFrame) -> Floats:
@@ -206,12 +196,8 @@ def _rows(
     config: MappingConfig,
 ) -> MapDetections:
     scan = np.repeat(np.arange(len(scans)), [len(scan) for scan in scans]).astype(np.int64)
-    points = np.concatenate([scan.points_vehicle_m for scan in scans]).reshape(-1, 2)
-    covariance = np.concatenate([scan.covariance_m2 for scan in scans]).reshape(-1, 2, 2)
-    width = np.concatenate([scan.width_m for scan in scans])
-    height = np.concatenate(
-        [np.full(len(s), np.nan) if s.height_m is None else s.height_m for s in scans]
-    )
+    seen = Detections.concatenate(scans)
+    points, covariance = seen.points_vehicle_m, seen.covariance_m2
     distance = np.hypot(points[:, 0], points[:, 1])
     usable = np.isfinite(points).all(axis=1) & (distance <= config.range_max_m)
     usable &= np.isfinite(covariance).all(axis=(1, 2))
@@ -226,8 +212,8 @@ def _rows(
         scan=scan,
         points_m=in_map + pose[:, :2],
         covariance_m2=rotate_covariance(covariance, pose[:, 2]),
-        width_m=width[usable],
-        height_m=height[usable],
+        width_m=seen.width_m[usable],
+        height_m=seen.height_m[usable],
         range_m=distance[usable],
         direction_rad=np.arctan2(in_map[:, 1], in_map[:, 0]),
         reference_sd_m=np.where(np.isfinite(sd), sd, config.reference_sd_m),

@@ -17,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from polemap.build.config import MappingConfig
 from polemap.build.georeference import MapDetections
 from polemap.build.robust_means import mean_of_detections, median_and_sd
+from polemap.drivelog.columns import Columns
 from polemap.vehicle.kalman import chi_square_quantile
 
 Floats = NDArray[np.float64]
@@ -26,7 +27,7 @@ _LAGS = 30
 
 
 @dataclass(frozen=True, slots=True)
-class TraversalLandmarks:
+class TraversalLandmarks(Columns):
     """What one drive says about each pole it passed; every array has a row a landmark.
 
     Attributes:
@@ -65,9 +66,6 @@ class TraversalLandmarks:
     directions: Whole
     range_min_m: Floats
     range_max_m: Floats
-
-    def __len__(self) -> int:
-        return len(self.points_m)
 
 
 def associate(detections: MapDetections, config: MappingConfig) -> Whole:

@@ -56,6 +56,8 @@ def test_parts_are_joined_under_the_first_header_and_come_back_from_arrays() -> 
     again = Wider.from_arrays({**joined.arrays(), "more": np.zeros(2)}, name="four")
     assert again.name == "four"
     np.testing.assert_array_equal(again.width_m, joined.width_m)
+    narrow = Table.concatenate(parts)
+    assert column_names(type(narrow)) == ("number", "place_m")
     with pytest.raises(KeyError, match="width_m"):
         Wider.from_arrays({"number": joined.number, "place_m": joined.place_m}, name="five")
 

@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,7 @@ from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import named
 from polemap.parsing.json_text import parse_json
 
-_VERSION = 3
-_SCALARS = ("drive", "frame", "views", "without_pose")
+_VERSION = 4
 _KEY = re.compile("[0-9a-f]{32}")
 
 
@@ -38,13 +36,12 @@ def write_checkpoint(part: DriveObservations, key: str, path: Path) -> None:
         "without_pose": part.detections.without_pose,
     }
     arrays: dict[str, Any] = {"rows": part.rows, "cannot_link": part.cannot_link}
-    for field in fields(ScanViews):
-        arrays[f"views.{field.name}"] = getattr(part.detections.views, field.name)
-    for field in fields(MapDetections):
-        if field.name not in _SCALARS:
-            arrays[f"detections.{field.name}"] = getattr(part.detections, field.name)
-    for field in fields(TraversalLandmarks):
-        arrays[f"landmarks.{field.name}"] = getattr(part.landmarks, field.name)
+    for name, table in (
+        ("views", part.detections.views),
+        ("detections", part.detections),
+        ("landmarks", part.landmarks),
+    ):
+        arrays |= {f"{name}.{column}": values for column, values in table.arrays().items()}
     with atomic_file(path) as target, target.open("wb") as stream:
         np.savez_compressed(stream, head=np.array(json.dumps(head)), **arrays)
 
@@ -65,23 +62,20 @@ def _observations(file: Mapping[str, NDArray[Any]], key: str) -> DriveObservatio
     head = parse_json(str(file["head"]))
     if head["version"] != _VERSION or head["key"] != key:
         return None
-    views = ScanViews(**{f.name: file[f"views.{f.name}"] for f in fields(ScanViews)})
-    columns = {
-        f.name: file[f"detections.{f.name}"]
-        for f in fields(MapDetections)
-        if f.name not in _SCALARS
-    }
-    detections = MapDetections(
+    detections = MapDetections.from_arrays(
+        _columns(file, "detections"),
         drive=head["drive"],
         frame=EarthFrame.from_dict(head["frame"]),
-        views=views,
+        views=ScanViews.from_arrays(_columns(file, "views")),
         without_pose=int(head["without_pose"]),
-        **columns,
     )
-    landmarks = TraversalLandmarks(
-        **{f.name: file[f"landmarks.{f.name}"] for f in fields(TraversalLandmarks)}
-    )
+    landmarks = TraversalLandmarks.from_arrays(_columns(file, "landmarks"))
     return DriveObservations(detections, landmarks, file["rows"], file["cannot_link"])
+
+
+def _columns(file: Mapping[str, NDArray[Any]], table: str) -> dict[str, NDArray[Any]]:
+    """The columns of one of the tables."""
+    return {key.partition(".")[2]: file[key] for key in file if key.startswith(f"{table}.")}
 
 
 def clear(folder: Path) -> None:

@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from polemap.build.city.cutting import Key, LandmarkCut, ScanCut, places
 from polemap.build.config import MappingConfig
-from polemap.build.drive_observations import DriveObservations, take_landmarks
+from polemap.build.drive_observations import DriveObservations
 from polemap.build.existence import RANGE_BINS, Visibility, count_scans, scan_weight
 from polemap.build.georeference import MapDetections
 from polemap.build.merge import (
@@ -145,7 +145,7 @@ def _task(
     """A tile's task without its scans, and the global rows of its landmarks."""
     rows = cut.rows(key, margin_m)
     task = TileTask(
-        take_landmarks(cut.landmarks, rows),
+        cut.landmarks.take(rows),
         cut.cannot_link(rows),
         cut.core(key, rows),
         cut.inside(key, rows, margin_m - 1.001 * config.merge_max_m),
@@ -205,7 +205,7 @@ def merge_tile(task: TileTask) -> TileResult:
     if not closed or not len(rows):
         nothing = tuple(np.empty((0, RANGE_BINS), dtype=np.int64) for _ in task.views)
         return TileResult(closed, owner, np.empty((0, 2)), np.empty((0, 2, 2)), nothing, nothing)
-    mine = take_landmarks(task.landmarks, rows)
+    mine = task.landmarks.take(rows)
     cannot_link = places(rows, task.cannot_link.reshape(-1)).reshape(-1, 2)
     clusters = cluster(mine, task.config, cannot_link[(cannot_link >= 0).all(axis=1)], error)
     points, covariance = fuse(mine, clusters, task.config, error)
