@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from polemap.detect.config import DetectionConfig
+from polemap.detect.constants import ACROSS_SD_M, AXIS_SD_SHARE, COLUMN_SD_PX, DISPARITY_SD_PX
 from polemap.detect.visibility import camera_sector
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.drive import Drive
@@ -65,17 +66,16 @@ def camera_sensor(
     view: VisibleRegion,
     focal_px: float,
     baseline_m: float,
-    config: DetectionConfig,
     p_detection: float,
 ) -> SensorModel:
-    """The detector's own error model, by its settings, for a stereo camera."""
+    """The detector's own error model for a stereo camera."""
     return SensorModel(
         view,
         p_detection,
-        config.axis_sd_share * _WIDTH_M,
-        config.disparity_sd_px / (focal_px * baseline_m),
-        config.across_sd_m,
-        config.column_sd_px / focal_px,
+        AXIS_SD_SHARE * _WIDTH_M,
+        DISPARITY_SD_PX / (focal_px * baseline_m),
+        ACROSS_SD_M,
+        COLUMN_SD_PX / focal_px,
     )
 
 
@@ -106,7 +106,7 @@ def drive_sensor(drive: Drive, config: DetectionConfig, p_detection: float) -> S
     rig = drive.rig
     if rig is not None and (drive.has_frames or not drive.scans):
         view = camera_sector(rig, config)
-        return camera_sensor(view, rig.focal_px, rig.baseline_m, config, p_detection)
+        return camera_sensor(view, rig.focal_px, rig.baseline_m, p_detection)
     return scans_sensor(drive.scans, p_detection)
 
 

@@ -20,17 +20,18 @@ class StepPenalty(BaseModel):
     It falls with the step of intensity between the two pixels, since depth edges mostly show in
     the image: P2 = gamma - alpha * |step|, kept within p2_min and p2_max. With gamma above p2_max
     the first (gamma - p2_max) / alpha grey values count as noise.
-
-    Attributes:
-        alpha: per grey value of an 8-bit image; for b bits it is divided by 2^(b - 8).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    p2_min: int = Field(ge=0, le=LARGEST_PENALTY)
-    p2_max: int = Field(ge=0, le=LARGEST_PENALTY)
-    gamma: int = Field(ge=0, le=1000)
-    alpha: float = Field(ge=0.0, le=64.0)
+    p2_min: int = Field(ge=0, le=LARGEST_PENALTY, description="Least P2, at a strong step.")
+    p2_max: int = Field(ge=0, le=LARGEST_PENALTY, description="Greatest P2, without a step.")
+    gamma: int = Field(ge=0, le=1000, description="P2 before the step is taken off.")
+    alpha: float = Field(
+        ge=0.0,
+        le=64.0,
+        description="Per grey value of an 8-bit image; for b bits it is divided by 2^(b - 8).",
+    )
 
     @model_validator(mode="after")
     def _in_order(self) -> StepPenalty:
@@ -54,7 +55,7 @@ class Penalties(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    p1: int = Field(default=5, ge=0, le=60)
+    p1: int = Field(default=5, ge=0, le=60, description="For a change by one pixel.")
     across: StepPenalty = StepPenalty(p2_min=5, p2_max=60, gamma=180, alpha=20.0)
     upright: StepPenalty = StepPenalty(p2_min=20, p2_max=120, gamma=150, alpha=2.0)
 
@@ -80,70 +81,142 @@ class OpenCvConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    mode: Literal["sgbm", "3way", "hh", "hh4"] = "3way"
-    preprocessing: Preprocessing = "clahe"
-    block_size_px: int = Field(default=3, ge=1, le=11)
-    p1: int = Field(default=8, ge=1)
-    p2: int = Field(default=32, ge=2)
+    mode: Literal["sgbm", "3way", "hh", "hh4"] = Field(
+        default="3way", description="StereoSGBM's own name of its paths."
+    )
+    preprocessing: Preprocessing = Field(default="clahe", description="Done to both images first.")
+    block_size_px: int = Field(default=3, ge=1, le=11, description="Edge of the matched block.")
+    p1: int = Field(default=8, ge=1, description="For a change by one pixel.")
+    p2: int = Field(default=32, ge=2, description="For a greater change.")
 
 
 class StereoConfig(BaseModel):
-    """How a pair becomes two disparity maps.
-
-    Attributes:
-        matcher: `census_sgm` needs the C++ extension; without it `opencv_sgbm` serves, with one
-            warning.
-        min_disparity_px: the smallest disparity that is searched.
-        disparities: how many are searched, from the smallest upwards.
-        paths: directions along which costs are summed.
-        right_map: `shared` reads the right view from the sums of the left; `own` sums again with
-            the right view's edges, which costs twice the time and keeps more thin poles.
-        census: `tall` compares 24 pairs in a window 9 to 11 rows high and 3 to 5 columns wide,
-            as poles are; `centre5x5` 24 neighbours with the centre; `symmetric7x7` the 24 pairs
-            of opposite pixels of a 7x7 window.
-        smoothing: 1-2-1 sums of the image before all else, since the census of a noisy pixel is
-            noise: `upright` over three rows, which leaves the width of a pole alone, or `square`.
-        uint16_bits: how many bits of a 16-bit image the camera fills.
-        uniqueness_percent: the best sum of costs must be this much below every other one that is
-            not its direct neighbour.
-        left_right_tolerance_px: how far the two maps may disagree; None leaves out the check.
-        subpixel: where between whole pixels: `equiangular` fits the V that the sums are,
-            `parabola` stays too near to the whole pixel.
-        median: a 3x3 median of the winners before the checks.
-        speckle_px: connected components of fewer pixels are removed, 0 for none ...
-        speckle_rows: ... unless they are at least this tall, as what is left of a thin pole is.
-        speckle_step_px: neighbours are connected if their disparities differ by no more.
-        outlier_chance_max: disparities whose chance of being over 3 px off (`stereo/trust.py`) is
-            larger are dropped, in both views; 1 keeps all.
-        outside_cost: matching cost where the partner would lie outside the other image.
-        cost_weight: how often the matching cost counts in the sum over paths, beside what each
-            path adds to it. In plain semi-global matching it counts once a path (8), so that one
-            noisy pixel outvotes all paths; 1 counts it once (Drory et al., GCPR 2014).
-        threads: 1, or 2 (upper and lower half); with `own` also 4. The result is the same.
-        instruction_set: for measurements; the result is the same.
-    """
+    """How a pair becomes two disparity maps."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    matcher: Literal["census_sgm", "opencv_sgbm"] = "census_sgm"
-    min_disparity_px: int = Field(default=0, ge=0, le=512)
-    disparities: int = Field(default=128, ge=16, le=256, multiple_of=16)
-    uniqueness_percent: int = Field(default=0, ge=0, le=50)
-    left_right_tolerance_px: float | None = Field(default=2.5, ge=0.0, le=16.0)
-    paths: Literal[4, 8] = 8
-    right_map: Literal["shared", "own"] = "own"
-    penalties: Penalties = Penalties()
-    census: Census = "tall"
-    smoothing: Literal["none", "upright", "square"] = "upright"
-    uint16_bits: int = Field(default=12, ge=8, le=16)
-    subpixel: Literal["none", "parabola", "equiangular"] = "equiangular"
-    median: bool = True
-    speckle_px: int = Field(default=400, ge=0, le=100_000)
-    speckle_rows: int = Field(default=16, ge=1, le=100_000)
-    speckle_step_px: float = Field(default=1.0, ge=0.0, le=16.0)
-    outlier_chance_max: float = Field(default=1.0, gt=0.0, le=1.0)
-    outside_cost: int = Field(default=12, ge=0, le=24)
-    cost_weight: int = Field(default=1, ge=1, le=16)
-    threads: int = Field(default=2, ge=1, le=64)
-    instruction_set: Literal["auto", "baseline", "avx2", "avx512"] = "auto"
-    opencv: OpenCvConfig = OpenCvConfig()
+    matcher: Literal["census_sgm", "opencv_sgbm"] = Field(
+        default="census_sgm",
+        description=(
+            "`census_sgm` needs the C++ extension; without it `opencv_sgbm` serves, with "
+            "one warning."
+        ),
+    )
+    min_disparity_px: int = Field(
+        default=0, ge=0, le=512, description="The smallest disparity that is searched."
+    )
+    disparities: int = Field(
+        default=128,
+        ge=16,
+        le=256,
+        multiple_of=16,
+        description="How many are searched, from the smallest upwards.",
+    )
+    uniqueness_percent: int = Field(
+        default=0,
+        ge=0,
+        le=50,
+        description=(
+            "The best sum of costs must be this much below every other one that is not its "
+            "direct neighbour."
+        ),
+    )
+    left_right_tolerance_px: float | None = Field(
+        default=2.5,
+        ge=0.0,
+        le=16.0,
+        description="How far the two maps may disagree; None leaves out the check.",
+    )
+    paths: Literal[4, 8] = Field(default=8, description="Directions along which costs are summed.")
+    right_map: Literal["shared", "own"] = Field(
+        default="own",
+        description=(
+            "`shared` reads the right view from the sums of the left; `own` sums again with "
+            "the right view's edges, which costs twice the time and keeps more thin poles."
+        ),
+    )
+    penalties: Penalties = Field(default=Penalties(), description="Smoothness of census SGM.")
+    census: Census = Field(
+        default="tall",
+        description=(
+            "`tall` compares 24 pairs in a window 9 to 11 rows high and 3 to 5 columns "
+            "wide, as poles are; `centre5x5` 24 neighbours with the centre; `symmetric7x7` "
+            "the 24 pairs of opposite pixels of a 7x7 window."
+        ),
+    )
+    smoothing: Literal["none", "upright", "square"] = Field(
+        default="upright",
+        description=(
+            "1-2-1 sums of the image before all else, since the census of a noisy pixel is "
+            "noise: `upright` over three rows, which leaves the width of a pole alone, or "
+            "`square`."
+        ),
+    )
+    uint16_bits: int = Field(
+        default=12, ge=8, le=16, description="How many bits of a 16-bit image the camera fills."
+    )
+    subpixel: Literal["none", "parabola", "equiangular"] = Field(
+        default="equiangular",
+        description=(
+            "Where between whole pixels: `equiangular` fits the V that the sums are, "
+            "`parabola` stays too near to the whole pixel."
+        ),
+    )
+    median: bool = Field(default=True, description="A 3x3 median of the winners before the checks.")
+    speckle_px: int = Field(
+        default=400,
+        ge=0,
+        le=100_000,
+        description=(
+            "Connected components of fewer pixels are removed, 0 for none, unless they are "
+            "`speckle_rows` tall."
+        ),
+    )
+    speckle_rows: int = Field(
+        default=16,
+        ge=1,
+        le=100_000,
+        description="Components at least this tall stay, as what is left of a thin pole is.",
+    )
+    speckle_step_px: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=16.0,
+        description="Neighbours are connected if their disparities differ by no more.",
+    )
+    outlier_chance_max: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=1.0,
+        description=(
+            "Disparities whose chance of being over 3 px off (`stereo/trust.py`) is larger "
+            "are dropped, in both views; 1 keeps all."
+        ),
+    )
+    outside_cost: int = Field(
+        default=12,
+        ge=0,
+        le=24,
+        description="Matching cost where the partner would lie outside the other image.",
+    )
+    cost_weight: int = Field(
+        default=1,
+        ge=1,
+        le=16,
+        description=(
+            "How often the matching cost counts in the sum over paths, beside what each "
+            "path adds to it. In plain semi-global matching it counts once a path (8), so "
+            "that one noisy pixel outvotes all paths; 1 counts it once (Drory et al., GCPR "
+            "2014)."
+        ),
+    )
+    threads: int = Field(
+        default=2,
+        ge=1,
+        le=64,
+        description="1, or 2 (upper and lower half); with `own` also 4. The result is the same.",
+    )
+    instruction_set: Literal["auto", "baseline", "avx2", "avx512"] = Field(
+        default="auto", description="For measurements; the result is the same."
+    )
+    opencv: OpenCvConfig = Field(default=OpenCvConfig(), description="Of the alternative matcher.")

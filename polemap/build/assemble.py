@@ -217,7 +217,7 @@ def _finish(
     successors = _successors(old, old_rows) if old is not None and old_rows is not None else None
     if old is not None and successors is not None:
         np.maximum.at(prior, successors[:, 1], old.prior_log_odds[successors[:, 0]])
-    stands = existence([counts for _, _, counts in drives], config, prior)
+    stands = existence([counts for _, _, counts in drives], prior)
     observations = np.bincount(merged.owner, landmarks.observations, n).astype(np.int64)
     known = np.zeros(n, dtype=bool)
     if successors is not None and update is not None:

@@ -23,6 +23,7 @@ from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from polemap.build.config import MappingConfig
+from polemap.build.constants import DISPARITY_TRAVERSAL_SD_PX, DRIFT_LEAST_M, TRAVERSAL_GAP_S
 from polemap.build.merge import close_pairs, shared_sd
 from polemap.build.traversals import TraversalLandmarks
 
@@ -98,7 +99,7 @@ def measure_drift(
     parts = [*drives, *([fixed] if fixed is not None and between else [])]
     knots = [_knots(part) for part in drives]
     traversals = _traversals(parts, knots, config)
-    if _disagreement(traversals, config, between) < config.drift_least_m:
+    if _disagreement(traversals, config, between) < DRIFT_LEAST_M:
         return None
     starts = np.cumsum([0, *(len(k) for k in knots)])
     prior = _prior(knots, config)
@@ -132,7 +133,7 @@ def _traversals(
         rows = np.flatnonzero(part.observations >= config.observations_min)
         time = middle_s(part)[rows]
         variance = np.trace(part.covariance_m2[rows], axis1=1, axis2=2) / 2.0
-        variance = variance + config.disparity_pass_sd_px**2 * np.sum(
+        variance = variance + DISPARITY_TRAVERSAL_SD_PX**2 * np.sum(
             part.gain_m_per_px[rows] ** 2, axis=1
         )
         knot = np.full((len(rows), 2), -1, dtype=np.int64)
@@ -167,12 +168,12 @@ def _pairs(
     pairs = close_pairs(points, radius_m)
     first, second = pairs[:, 0], pairs[:, 1]
     same = traversals.drive[first] == traversals.drive[second]
-    cannot_link = np.abs(traversals.time_s[first] - traversals.time_s[second]) > config.pass_gap_s
+    cannot_link = np.abs(traversals.time_s[first] - traversals.time_s[second]) > TRAVERSAL_GAP_S
     pairs = pairs[(same & cannot_link) | (~same & between)]
     if not len(pairs):
         return np.empty((0, 2), dtype=np.int64)
     distance = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
-    slot = np.floor(traversals.time_s / config.pass_gap_s).astype(np.int64)
+    slot = np.floor(traversals.time_s / TRAVERSAL_GAP_S).astype(np.int64)
     _, group = np.unique(np.stack([traversals.drive, slot]), axis=1, return_inverse=True)
     group = group.reshape(-1)
     groups = int(group.max()) + 1

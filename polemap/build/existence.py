@@ -3,7 +3,7 @@
 Each drive moves a pole's log-odds by how much better "it stands there" explains what was seen and
 missed than "nothing does". How often a standing pole is seen at a range is measured on poles that
 are beyond doubt. Scans that follow each other share what hides a pole, so they count as one scan
-every `independent_look_s`; and one drive can say only so much, because a parked van is as visible
+every `INDEPENDENT_SCAN_S`; and one drive can say only so much, because a parked van is as visible
 as a pole for as long as it is parked.
 """
 
@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.special import betaln
 
-from polemap.build.config import MappingConfig
+from polemap.build.constants import (
+    DRIVE_LOG_ODDS_MAX,
+    FALSE_ALARM_PROBABILITY,
+    INDEPENDENT_SCAN_S,
+    LOG_ODDS_MAX,
+)
 from polemap.build.georeference import MapDetections, ScanViews
 
 Floats = NDArray[np.float64]
@@ -99,11 +104,11 @@ def _bin(distance_m: Floats) -> Whole:
     return np.clip((distance_m // RANGE_STEP_M).astype(np.int64), 0, RANGE_BINS - 1)
 
 
-def scan_weight(stamps: Floats, config: MappingConfig) -> float:
+def scan_weight(stamps: Floats) -> float:
     """What one scan counts as an independent one."""
     if len(stamps) < 2:
         return 1.0
-    return float(min(1.0, np.median(np.diff(stamps)) / config.independent_look_s))
+    return float(min(1.0, np.median(np.diff(stamps)) / INDEPENDENT_SCAN_S))
 
 
 def _hidden(
@@ -173,10 +178,9 @@ def visibility_prior(drives: list[Evidence]) -> tuple[float, float]:
 def drive_log_odds(
     drive: Evidence,
     before: Evidence | None,
-    config: MappingConfig,
     prior: tuple[float, float] = (0.5, 0.5),
 ) -> Floats:
-    """What one drive says about each pole, `(n,)`, limited to `drive_log_odds_max`.
+    """What one drive says about each pole, `(n,)`, limited to `DRIVE_LOG_ODDS_MAX`.
 
     Poles differ in how visible they are (a bush before one, a hedge behind another), so that the
     share that is seen is not known but drawn from a Beta distribution: that of all poles, sharpened
@@ -188,21 +192,21 @@ def drive_log_odds(
         # scans before it stood there say nothing about how visible it is
         share = np.minimum(1.0, _MEMORY / np.maximum(before.expected, 1e-9)) * (before.detected > 0)
         a, b = a + share * before.detected, b + share * (before.expected - before.detected)
-    false, missed = config.false_alarm_probability, drive.expected - drive.detected
+    false, missed = FALSE_ALARM_PROBABILITY, drive.expected - drive.detected
     stands = betaln(a + drive.detected, b + missed) - betaln(a, b)
     nothing = drive.detected * np.log(false) + missed * np.log(1.0 - false)
-    limit = config.drive_log_odds_max
+    limit = DRIVE_LOG_ODDS_MAX
     return np.asarray(np.clip(stands - nothing, -limit, limit))
 
 
-def existence(drives: list[Evidence], config: MappingConfig, prior_log_odds: Floats) -> Floats:
+def existence(drives: list[Evidence], prior_log_odds: Floats) -> Floats:
     """Existence `(n,)` after drives in the order of time, each limited, the sum limited too."""
     total = np.array(prior_log_odds, dtype=np.float64)
     prior = visibility_prior(drives)
     before: Evidence | None = None
     for drive in drives:
-        odds = drive_log_odds(drive, before, config, prior)
-        total = np.clip(total + odds, -config.log_odds_max, config.log_odds_max)
+        odds = drive_log_odds(drive, before, prior)
+        total = np.clip(total + odds, -LOG_ODDS_MAX, LOG_ODDS_MAX)
         before = (
             drive
             if before is None

@@ -19,6 +19,13 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from polemap.build.config import MappingConfig
+from polemap.build.constants import (
+    DISPARITY_COMMON_SD_PX,
+    DISPARITY_TRAVERSAL_SD_PX,
+    MERGE_PROBABILITY,
+    MERGE_SLACK_M,
+    SYSTEMATIC_SD_M,
+)
 from polemap.build.robust_means import weighted_mean
 from polemap.build.traversals import TraversalLandmarks
 from polemap.vehicle.kalman import chi_square_quantile
@@ -65,15 +72,15 @@ def shared_covariance(
     )
     across = rotate([0.0, 1.0], landmarks.direction_rad)
     turn = (config.reference_yaw_sd_rad * landmarks.lever_m)[:, None, None] ** 2
-    plain = (sd**2 + config.systematic_sd_m**2)[:, None, None] * np.eye(2)
+    plain = (sd**2 + SYSTEMATIC_SD_M**2)[:, None, None] * np.eye(2)
     gain = landmarks.gain_m_per_px
-    along = config.disparity_pass_sd_px**2 * gain[:, :, None] * gain[:, None, :]
+    along = DISPARITY_TRAVERSAL_SD_PX**2 * gain[:, :, None] * gain[:, None, :]
     return np.asarray(plain + turn * across[:, :, None] * across[:, None, :] + along)
 
 
-def _common(gain_m_per_px: Floats, config: MappingConfig) -> Floats:
+def _common(gain_m_per_px: Floats) -> Floats:
     """Covariance `(n, 2, 2)` from the disparity error that everything shares."""
-    one = config.disparity_common_sd_px * gain_m_per_px
+    one = DISPARITY_COMMON_SD_PX * gain_m_per_px
     return np.asarray(one[:, :, None] * one[:, None, :])
 
 
@@ -153,7 +160,7 @@ def measure_reference(
     rest = shared_covariance(landmarks, config, 0.0)
     own = own + rest[first] + rest[second]
     # what everything shares moves both: only the difference of their gains tells them apart
-    own = own + _common(landmarks.gain_m_per_px[first] - landmarks.gain_m_per_px[second], config)
+    own = own + _common(landmarks.gain_m_per_px[first] - landmarks.gain_m_per_px[second])
     same = landmarks.drive[first] == landmarks.drive[second]
     traversal_sd = None
     if np.count_nonzero(same) >= _PAIRS_MIN:
@@ -186,13 +193,13 @@ def cluster(
     if not n:
         return np.empty(0, dtype=np.int64)
     spread = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.traversal_sd_m)
-    spread = spread + np.eye(2) * (error.drive_sd_m**2 + config.merge_slack_m**2)
-    spread = spread + _common(landmarks.gain_m_per_px, config)
+    spread = spread + np.eye(2) * (error.drive_sd_m**2 + MERGE_SLACK_M**2)
+    spread = spread + _common(landmarks.gain_m_per_px)
     pairs = close_pairs(landmarks.points_m, config.merge_max_m)
     offset = landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]]
     both = spread[pairs[:, 0]] + spread[pairs[:, 1]]
     likeness = np.sum(offset * np.linalg.solve(both, offset[..., None])[..., 0], axis=1)
-    gate = chi_square_quantile(config.merge_probability, 2)
+    gate = chi_square_quantile(MERGE_PROBABILITY, 2)
     usable = (likeness <= gate) & ~_listed(pairs, cannot_link, n)
     pairs, likeness = pairs[usable], likeness[usable]
     # ties are broken by place, never by row: the order in which drives come must not matter
@@ -277,7 +284,7 @@ def fuse(
     clusters = int(owner.max()) + 1 if len(owner) else 0
     point, covariance, gain = weighted_mean(point, covariance, poles, clusters, gain)
     # no repetition averages away what the detector does wrong each time
-    covariance = covariance + np.eye(2) * config.systematic_sd_m**2 + _common(gain, config)
+    covariance = covariance + np.eye(2) * SYSTEMATIC_SD_M**2 + _common(gain)
     # traversals that were laid onto each other are off together
     number = np.maximum(np.bincount(owner, minlength=clusters), 1)
     off = np.bincount(owner, landmarks.aligned_sd_m**2, clusters) / number

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from polemap.build.config import MappingConfig
+from polemap.build.constants import GATE_PROBABILITY, GATE_SLACK_M, TRAVERSAL_GAP_S
 from polemap.build.georeference import MapDetections
 from polemap.build.robust_means import mean_of_detections, median_and_sd
 from polemap.drivelog.columns import Columns
@@ -74,15 +75,15 @@ def associate(detections: MapDetections, config: MappingConfig) -> Whole:
     Each scan is matched one-to-one with the landmarks that are in sight (optimal assignment on
     gated Mahalanobis distances), so that two poles beside each other stay two.
     """
-    gate = chi_square_quantile(config.gate_probability, 2)
+    gate = chi_square_quantile(GATE_PROBABILITY, 2)
     numbers = np.full(len(detections), -1, dtype=np.int64)
     open_landmarks = _OpenLandmarks(len(detections))
     starts = np.searchsorted(detections.scan, np.arange(len(detections.views) + 1))
     for scan in np.unique(detections.scan):
         rows = np.arange(starts[scan], starts[scan + 1])
         points, covariance = detections.points_m[rows], detections.covariance_m2[rows]
-        open_landmarks.close_before(float(detections.views.stamp_s[scan]) - config.pass_gap_s)
-        distance = open_landmarks.distances(points, covariance, config.gate_slack_m)
+        open_landmarks.close_before(float(detections.views.stamp_s[scan]) - TRAVERSAL_GAP_S)
+        distance = open_landmarks.distances(points, covariance, GATE_SLACK_M)
         chosen = _assign(distance, gate)
         numbers[rows] = open_landmarks.fuse_scan(
             points, covariance, chosen, float(detections.views.stamp_s[scan])

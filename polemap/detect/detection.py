@@ -9,6 +9,19 @@ from numpy.typing import NDArray
 
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.config import DetectionConfig
+from polemap.detect.constants import (
+    ACROSS_SD_M,
+    ACROSS_SD_SHARE,
+    AXIS_SD_SHARE,
+    AXIS_SHARE,
+    COLUMN_SD_PX,
+    DISPARITY_SD_PX,
+    EXTENSION_SD_M,
+    MATCHER_SD_PX,
+    REFINE_PROBABILITY,
+    STEP_MIN_M,
+    STEP_MIN_PX,
+)
 from polemap.detect.features import Profiles, measure_features
 from polemap.detect.ground import Ground, fit_ground
 from polemap.detect.hypotheses import Hypotheses, find_hypotheses, find_slices
@@ -78,15 +91,15 @@ def detect(
     focal_baseline = rig.focal_px * rig.baseline_m
     maps = upright_maps(disparity, config.row_step_px)
     ground = fit_ground(maps, rig)
-    edges = depth_edges(maps, config.step_min_px, config.step_min_m / focal_baseline)
+    edges = depth_edges(maps, STEP_MIN_PX, STEP_MIN_M / focal_baseline)
     hypotheses = find_hypotheses(find_slices(*edges, rig, config), ground, rig, config)
     profiles = measure_features(hypotheses, maps, frame.left, ground, rig)
     probability = np.full(len(hypotheses), 0.5)
     if classifier is not None:
         probability = classifier.probability(profiles.features)
     view = visible_region(maps, ground, rig, config)
-    fitted = _fit_disparity(frame, hypotheses, profiles, probability, config)
-    found = _locate(frame, view, hypotheses, profiles, fitted, probability, rig, config)
+    fitted = _fit_disparity(frame, hypotheses, profiles, probability)
+    found = _locate(frame, view, hypotheses, profiles, fitted, probability, rig)
     distance = np.hypot(*(found.points_vehicle_m - view.origin_vehicle_m).T)
     found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
     found = _suppress(found) if classifier is not None else found
@@ -98,10 +111,9 @@ def _fit_disparity(
     hypotheses: Hypotheses,
     profiles: Profiles,
     probability: Floats,
-    config: DetectionConfig,
 ) -> tuple[Floats, Floats]:
     """Disparity and standard deviation `(n,)`: of the likely ones fitted to the images."""
-    likely = probability >= config.refine_probability
+    likely = probability >= REFINE_PROBABILITY
     refined, refined_sd = profiles.disparity_px.copy(), profiles.disparity_sd_px.copy()
     fit = refine_disparity(
         frame.left,
@@ -115,7 +127,7 @@ def _fit_disparity(
     )
     refined[likely] = fit.disparity_px
     # the matcher's own value, where the fit failed, is worth less than it claims
-    refined_sd = np.hypot(refined_sd, config.matcher_sd_px)
+    refined_sd = np.hypot(refined_sd, MATCHER_SD_PX)
     refined_sd[likely] = np.where(fit.trusted, fit.sd_px, refined_sd[likely])
     return refined, refined_sd
 
@@ -128,14 +140,13 @@ def _locate(
     fitted: tuple[Floats, Floats],
     probability: Floats,
     rig: StereoRig,
-    config: DetectionConfig,
 ) -> StereoDetections:
     """Axis at ground level in the vehicle frame, best hypothesis first."""
     disparity, _ = fitted
     focal_baseline = rig.focal_px * rig.baseline_m
     width_m = (profiles.right_px - profiles.left_px) * rig.baseline_m / disparity
     # what is matched is the front of a cylinder: on average 0.8 radii before its axis
-    axis_m = config.axis_share * width_m
+    axis_m = AXIS_SHARE * width_m
     surface = focal_baseline / disparity
     shifted = focal_baseline / (surface + axis_m)
     camera = rig.camera_points(profiles.foot_column_px, profiles.foot_row_px, shifted)
@@ -150,7 +161,7 @@ def _locate(
         view=view,
         kind=np.full(n, LandmarkKind.POLE, dtype=np.int8),
         points_vehicle_m=points,
-        covariance_m2=_covariance(points, width_m, hypotheses, profiles, fitted, rig, config),
+        covariance_m2=_covariance(points, width_m, hypotheses, profiles, fitted, rig),
         width_m=width_m,
         height_m=profiles.top_m,
         probability=probability,
@@ -174,25 +185,24 @@ def _covariance(
     profiles: Profiles,
     fitted: tuple[Floats, Floats],
     rig: StereoRig,
-    config: DetectionConfig,
 ) -> Floats:
     """Covariance `(n, 2, 2)` of the axis: a part along the line of sight, and one across it."""
     disparity, disparity_sd = fitted
     focal_baseline = rig.focal_px * rig.baseline_m
     surface = focal_baseline / disparity
-    sd_disparity = np.hypot(config.disparity_sd_px, disparity_sd)
-    sd_range = np.hypot(surface**2 / focal_baseline * sd_disparity, config.axis_sd_share * width_m)
-    sd_column = np.hypot(config.column_sd_px, profiles.flank_sd_px / np.sqrt(2.0))
-    sd_across = np.hypot(surface / rig.focal_px * sd_column, config.across_sd_m)
+    sd_disparity = np.hypot(DISPARITY_SD_PX, disparity_sd)
+    sd_range = np.hypot(surface**2 / focal_baseline * sd_disparity, AXIS_SD_SHARE * width_m)
+    sd_column = np.hypot(COLUMN_SD_PX, profiles.flank_sd_px / np.sqrt(2.0))
+    sd_across = np.hypot(surface / rig.focal_px * sd_column, ACROSS_SD_M)
     # the axis is extended down to the ground: the farther for its length, the worse
     length_px = np.maximum(
         hypotheses.bottom_px - hypotheses.top_px, _SHORTEST_M * disparity / rig.baseline_m
     )
     extended = profiles.foot_row_px - 0.5 * (hypotheses.bottom_px + hypotheses.top_px)
     share = np.clip(extended / length_px, 0.0, _FARTHEST)
-    sd_across = np.hypot(sd_across, config.extension_sd_m * share)
+    sd_across = np.hypot(sd_across, EXTENSION_SD_M * share)
     # what is wide may be two things that stand side by side
-    sd_across = np.hypot(sd_across, config.across_sd_share * width_m)
+    sd_across = np.hypot(sd_across, ACROSS_SD_SHARE * width_m)
     sd_across = np.where(profiles.border, np.hypot(sd_across, 0.25 * width_m + 0.05), sd_across)
     ray = points - np.array([rig.vehicle_from_camera.x_m, rig.vehicle_from_camera.y_m])
     ray = ray / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-6)[:, None]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from polemap.detect.components import components
 from polemap.detect.config import DetectionConfig
+from polemap.detect.constants import BASE_MAX_M, HYPOTHESES_MAX, LEAN_MAX_RAD
 from polemap.detect.ground import Ground
 from polemap.drivelog.columns import Columns
 from polemap.stereo.depth_edges import DepthEdges
@@ -271,12 +272,12 @@ def _keep(
         ground.row_px(hypotheses.column_px, hypotheses.disparity_px) - hypotheses.bottom_px
     ) * per_px
     width = hypotheses.width_px * per_px
-    good = (height >= config.height_min_m) & (base <= config.base_max_m)
+    good = (height >= config.height_min_m) & (base <= BASE_MAX_M)
     good &= base + height >= 0.4  # kerbs
     good &= (width >= config.width_min_m) & (width <= config.width_max_m)
-    good &= (np.abs(np.arctan(hypotheses.slope)) <= config.lean_max_rad) & (height >= 0.8 * width)
+    good &= (np.abs(np.arctan(hypotheses.slope)) <= LEAN_MAX_RAD) & (height >= 0.8 * width)
     kept = hypotheses.take(good)
-    if len(kept) > config.hypotheses_max:
-        tallest = np.argsort(-(kept.slices / kept.disparity_px))[: config.hypotheses_max]
+    if len(kept) > HYPOTHESES_MAX:
+        tallest = np.argsort(-(kept.slices / kept.disparity_px))[:HYPOTHESES_MAX]
         kept = kept.take(np.sort(tallest))
     return kept

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections
 from polemap.stereo.rig import StereoRig
 from polemap.track.config import TrackingConfig
+from polemap.track.constants import ERROR_TIME_S
 from polemap.track.tracks import Motion, Tracks
 from polemap.vehicle.pose import compose, rotate, rotation
 
@@ -111,9 +112,8 @@ class DisparityOffset:
         """
         if self._config.disparity_offset_sd_px == 0.0:
             return
-        time_s = self._config.error_time_s
         # errors of a pole last: a frame is worth as much as its part of two correlation times
-        share = min(1.0, elapsed_s / (2.0 * time_s)) if time_s > 0 else 1.0
+        share = min(1.0, elapsed_s / (2.0 * ERROR_TIME_S))
         for row in np.flatnonzero(tracks.detection >= 0):
             which = int(tracks.detection[row])
             away_m = float(np.hypot(*(detections.points_vehicle_m[which] - self._origin_m)))

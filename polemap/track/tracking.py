@@ -8,8 +8,8 @@ leans on that error (a Schmidt filter's considered state), so that it can be mov
 is known better, and its covariance told with what is not known yet.
 
 Errors of one pole's disparity hardly change from frame to frame, so a frame is not a fresh
-measurement. They are modelled as exponentially correlated with `error_time_s`; a white error of
-variance R (1 + r) / (1 - r), r = exp(-dt / error_time_s), is worth as much in the long run, and
+measurement. They are modelled as exponentially correlated with `ERROR_TIME_S`; a white error of
+variance R (1 + r) / (1 - r), r = exp(-dt / ERROR_TIME_S), is worth as much in the long run, and
 that is what the filter is told. The first frame of a track counts with R itself.
 
 Source: S16, section III-A; Y. Bar-Shalom et al. 2002, sections 5.2 and 8.2 for filter and
@@ -25,6 +25,18 @@ from scipy.optimize import linear_sum_assignment
 
 from polemap.drivelog.detections import Detections
 from polemap.track.config import TrackingConfig
+from polemap.track.constants import (
+    DELETE_EXISTENCE,
+    DETECTION_PROBABILITY,
+    DRIFT_SD_MPS,
+    ERROR_TIME_S,
+    GATE_MAX_M,
+    GATE_PROBABILITY,
+    PERIOD_S,
+    POLE_SHARE,
+    SPEED_SD_MPS,
+    WIDTH_SD_M,
+)
 from polemap.track.tracks import Motion, Tracks
 from polemap.vehicle.kalman import chi_square_quantile
 from polemap.vehicle.pose import rotation
@@ -44,7 +56,7 @@ class PoleTracker:
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
-        self._gate = chi_square_quantile(config.gate_probability, 2)
+        self._gate = chi_square_quantile(GATE_PROBABILITY, 2)
         self._next_id = 0
         self._updated_s: float | None = None
         self.tracks = Tracks()
@@ -62,11 +74,11 @@ class PoleTracker:
         dt = abs(motion.dt_s)
         var_turn = (config.yaw_rate_sd_radps * dt) ** 2
         var_along = (config.speed_sd_share * motion.distance_m) ** 2
-        var_along += (config.speed_sd_mps * dt) ** 2
+        var_along += (SPEED_SD_MPS * dt) ** 2
         by_turn = np.stack([points[:, 1], -points[:, 0]], axis=1)
         noise = var_turn * by_turn[:, :, None] * by_turn[:, None, :]
         noise[:, 0, 0] += var_along
-        noise += (config.drift_sd_mps * dt) ** 2 * np.eye(2)
+        noise += (DRIFT_SD_MPS * dt) ** 2 * np.eye(2)
         covariance = later_from_earlier @ tracks.covariance_m2 @ later_from_earlier.T + noise
         self.tracks = tracks.with_columns(
             points_vehicle_m=points,
@@ -84,7 +96,7 @@ class PoleTracker:
         config = self._config
         dt = detections.stamp_s - self._updated_s if self._updated_s is not None else np.inf
         self._updated_s = detections.stamp_s
-        pace = min(max(dt / config.period_s, 0.0), 1.0)  # more frames are not more evidence
+        pace = min(max(dt / PERIOD_S, 0.0), 1.0)  # more frames are not more evidence
         pairs = self._assign(detections)
         tracks = self._correct(pairs, detections, dt, pace)
         tracks = self._miss(tracks, detections, pace)
@@ -99,7 +111,7 @@ class PoleTracker:
         sure = (existence >= config.confirm_existence) & (tracks.hits >= config.confirm_hits)
         confirmed = sure | (tracks.confirmed & (existence >= 0.5))
         tracks = tracks.with_columns(confirmed=confirmed)
-        alive = existence >= config.delete_existence
+        alive = existence >= DELETE_EXISTENCE
         alive &= detections.stamp_s - tracks.seen_s <= config.forget_after_s
         self.tracks = tracks.take(alive)
         return ids
@@ -117,14 +129,14 @@ class PoleTracker:
         determinant = xx * yy - xy * xy
         distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
         apart = tracks.width_m[:, None] - detections.width_m[usable]
-        width_var = tracks.width_var_m2[:, None] + config.width_sd_m**2
+        width_var = tracks.width_var_m2[:, None] + WIDTH_SD_M**2
         width_cost = np.where(np.isnan(apart), 0.0, np.minimum(apart**2 / width_var, 9.0))
         log_det = np.log(determinant)
         cost = distance + 0.5 * width_cost + log_det - log_det.min()
         # an uncertain track must not snatch the detection of a sure one
         cost = cost - 0.5 * tracks.log_odds[:, None]
         cost = cost - cost.min() + 1.0
-        allowed = (distance <= self._gate) & (np.hypot(x, y) <= config.gate_max_m)
+        allowed = (distance <= self._gate) & (np.hypot(x, y) <= GATE_MAX_M)
         allowed &= tracks.kind[:, None] == detections.kind[usable]
         # an empty column a track: it may go without
         square = np.full((len(tracks), len(usable) + len(tracks)), _FORBIDDEN)
@@ -137,9 +149,9 @@ class PoleTracker:
     def _correct(
         self, pairs: tuple[Ints, Ints], detections: Detections, dt: float, pace: float
     ) -> Tracks:
-        tracks, config = self.tracks, self._config
+        tracks = self.tracks
         one, two = pairs
-        r = np.exp(-max(dt, 1e-3) / config.error_time_s) if config.error_time_s > 0 else 0.0
+        r = np.exp(-max(dt, 1e-3) / ERROR_TIME_S)
         measured = detections.covariance_m2[two] * (1.0 + r) / (1.0 - r)
         prior = tracks.covariance_m2[one]
         # both are symmetric, so the transpose of the solution is the gain
@@ -156,12 +168,12 @@ class PoleTracker:
         shared[one] += np.einsum("nij,nj->ni", gain, detections.shift_per_px_m[two] - shared[one])
         width, width_var = tracks.width_m.copy(), tracks.width_var_m2.copy()
         seen = detections.width_m[two]
-        share = width_var[one] / (width_var[one] + config.width_sd_m**2)
+        share = width_var[one] / (width_var[one] + WIDTH_SD_M**2)
         known = np.isfinite(seen)
         share = np.where(known, share, 0.0)
         width[one] += share * (np.where(known, seen, 0.0) - width[one])
         width_var[one] *= 1.0 - share
-        width_var[one] = np.maximum(width_var[one], (0.3 * config.width_sd_m) ** 2)
+        width_var[one] = np.maximum(width_var[one], (0.3 * WIDTH_SD_M) ** 2)
         height = tracks.height_m.copy()
         tall = detections.height_m[two]
         part = 1.0 / np.minimum(tracks.hits[one] + 1.0, _HEIGHT_MEMORY)
@@ -189,19 +201,19 @@ class PoleTracker:
 
     def _miss(self, tracks: Tracks, detections: Detections, pace: float) -> Tracks:
         """Less belief in what should have been seen and was not."""
-        config, view = self._config, detections.view
+        view = detections.view
         missed = tracks.detection < 0
         if view is not None:
             # stretched outward, so that a pole at the very end of the view is not expected
             away = (tracks.points_vehicle_m - view.origin_vehicle_m) / _LATE_SHARE
             missed &= view.contains(away + view.origin_vehicle_m)
-        step = pace * np.log(1.0 - config.detection_probability)
+        step = pace * np.log(1.0 - DETECTION_PROBABILITY)
         log_odds = np.maximum(tracks.log_odds + np.where(missed, step, 0.0), -_LOG_ODDS_LIMIT)
         return tracks.with_columns(log_odds=log_odds)
 
     def _evidence(self, probability: Floats) -> Floats:
         """Log of how much likelier such a look is at a pole than at another thing."""
-        share = np.array(self._config.pole_share)
+        share = np.array(POLE_SHARE)
         return np.clip(_logit(probability) - _logit(share), *_HIT_LIMIT)
 
     def _bear(self, rows: Ints, detections: Detections) -> Tracks:
@@ -217,7 +229,7 @@ class PoleTracker:
             points_vehicle_m=detections.points_vehicle_m[rows],
             covariance_m2=detections.covariance_m2[rows],
             width_m=np.where(known, width, 0.2),
-            width_var_m2=np.where(known, self._config.width_sd_m**2, 0.3**2),
+            width_var_m2=np.where(known, WIDTH_SD_M**2, 0.3**2),
             height_m=detections.height_m[rows],
             log_odds=self._evidence(detections.probability[rows]),
             hits=np.ones(count, dtype=np.int64),

@@ -21,7 +21,7 @@ from polemap.stereo.rig import Mounting, StereoRig
 from tests.polemap.map.test_map_io import LOCAL, make_map
 
 VIEW = VisibleRegion(np.array([0.0, 0.0]), -0.7, 0.7, 1.0, np.array([40.0]))
-SENSOR = camera_sensor(VIEW, 720.0, 0.54, DetectionConfig(), 0.7)
+SENSOR = camera_sensor(VIEW, 720.0, 0.54, 0.7)
 
 
 def poles(points: list[tuple[float, float]]) -> PoleMap:

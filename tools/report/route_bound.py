@@ -47,6 +47,6 @@ def route_bound(result: RouteResult) -> RouteBound | None:
     if sensor is None:
         errors_of = "a camera of {} px and {} m".format(*DEFAULT_CAMERA)
         view = default_view(settings.localize.poles)
-        sensor = camera_sensor(view, *DEFAULT_CAMERA, detection, p_detection)
+        sensor = camera_sensor(view, *DEFAULT_CAMERA, p_detection)
     bound = localizability(poles, recording.guide.poses, sensor, step_m=STEP_M, prior_sd=PRIOR_SD)
     return RouteBound(bound, float(sensor.view.free_range_m.max()), errors_of)

@@ -132,7 +132,7 @@ def merge_tiles(
         Visibility(
             _counts([result.detected[row] for _, result in parts])[place],
             _counts([result.expected[row] for _, result in parts])[place],
-            scan_weight(part.detections.views.stamp_s, config),
+            scan_weight(part.detections.views.stamp_s),
         )
         for row, part in enumerate(ordered)
     ]

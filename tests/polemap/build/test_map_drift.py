@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from polemap.build import drift
 from polemap.build.assemble import assemble_map
 from polemap.build.config import MappingConfig
 from polemap.build.drift import KNOT_S, _prior, measure_drift
@@ -18,7 +19,6 @@ from tests.polemap.build.test_map_build import BLOCKS, observed, score
 from tests.polemap.town import FRAME, Town, drive_through, make_town, route
 
 CONFIG = MappingConfig()
-AS_THEY_ARE = MappingConfig(drift_least_m=100.0)
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +46,12 @@ def placed(pole_map: PoleMap, town: Town) -> PoleMap:
     return replace(pole_map, points_m=shift.points(pole_map.points_m), _tree=None)
 
 
-def test_passes_of_one_drive_do_not_double_poles(days: list[DriveObservations], town: Town) -> None:
-    doubled = assemble_map(days[:1], AS_THEY_ARE, FRAME).pole_map
+def test_traversals_of_one_drive_do_not_double_poles(
+    days: list[DriveObservations], town: Town, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as as_they_are:
+        as_they_are.setattr(drift, "DRIFT_LEAST_M", 100.0)
+        doubled = assemble_map(days[:1], CONFIG, FRAME).pole_map
     built = assemble_map(days[:1], CONFIG, FRAME)
     plain, without_drift = (score(placed(m, town), town) for m in (doubled, built.pole_map))
     assert plain.duplicates > 0.05

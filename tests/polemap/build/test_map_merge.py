@@ -8,14 +8,28 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from polemap.build import merge
 from polemap.build.config import MappingConfig
+from polemap.build.constants import (
+    DISPARITY_COMMON_SD_PX,
+    DISPARITY_TRAVERSAL_SD_PX,
+)
 from polemap.build.merge import ReferenceError, fuse
 from polemap.build.traversals import TraversalLandmarks
 
 Floats = NDArray[np.float64]
 
 SD_M = 0.05
-CONFIG = MappingConfig(reference_yaw_sd_rad=0.0, systematic_sd_m=0.001)
+CONFIG = MappingConfig(reference_yaw_sd_rad=0.0)
+SYSTEMATIC_SD_M = 0.001
+
+
+@pytest.fixture(autouse=True)
+def small_systematic_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hardly any, so that it does not hide the errors that are tested."""
+    monkeypatch.setattr(merge, "SYSTEMATIC_SD_M", SYSTEMATIC_SD_M)
+
+
 ALONE = ReferenceError(traversal_sd_m=0.0, drive_sd_m=0.0, traversal_pairs=0, drive_pairs=0)
 
 
@@ -54,8 +68,8 @@ def stereo(
     angle = angle + rng.uniform(-spread_rad, spread_rad, poles * each)
     size = rng.uniform(0.2, 1.5, poles * each)
     gain = size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    common = np.repeat(CONFIG.disparity_common_sd_px * rng.standard_normal(poles), each)
-    own = CONFIG.disparity_pass_sd_px * rng.standard_normal(poles * each)
+    common = np.repeat(DISPARITY_COMMON_SD_PX * rng.standard_normal(poles), each)
+    own = DISPARITY_TRAVERSAL_SD_PX * rng.standard_normal(poles * each)
     noise = SD_M * rng.standard_normal((poles * each, 2))
     return traversals((common + own)[:, None] * gain + noise, gain, each), owner
 
@@ -83,11 +97,11 @@ def test_passes_from_opposite_sides_cancel_what_they_share() -> None:
     owner = np.array([0, 0, 1, 1])
     landmarks = traversals(np.zeros((4, 2)), gain, 1)
     _, covariance = fuse(landmarks, owner, CONFIG, ALONE)
-    mine = (SD_M**2 + CONFIG.disparity_pass_sd_px**2) / 2.0 + CONFIG.systematic_sd_m**2 * 1.5
-    shared = CONFIG.disparity_common_sd_px**2
+    mine = (SD_M**2 + DISPARITY_TRAVERSAL_SD_PX**2) / 2.0 + SYSTEMATIC_SD_M**2 * 1.5
+    shared = DISPARITY_COMMON_SD_PX**2
     np.testing.assert_allclose(covariance[:, 0, 0], [mine + shared, mine], rtol=1e-9)
     np.testing.assert_allclose(
-        covariance[:, 1, 1], SD_M**2 / 2.0 + CONFIG.systematic_sd_m**2 * 1.5, rtol=1e-9
+        covariance[:, 1, 1], SD_M**2 / 2.0 + SYSTEMATIC_SD_M**2 * 1.5, rtol=1e-9
     )
 
 

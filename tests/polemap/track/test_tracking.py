@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
+from polemap.track import tracking
 from polemap.track.config import TrackingConfig
+from polemap.track.constants import ERROR_TIME_S, GATE_PROBABILITY, POLE_SHARE, SPEED_SD_MPS
 from polemap.track.tracking import PoleTracker
 from polemap.track.tracks import Motion
 from polemap.vehicle.pose import Pose2D, compose, inverse_transform_points
@@ -99,7 +101,7 @@ def drive_by(rate_hz: float, seed: int, error_time_s: float) -> Passage:
         forward = speed * dt
         pose = compose(pose, [forward, 0.0, turn])
         noisy_m = forward * (1 + CONFIG.speed_sd_share * rng.standard_normal())
-        noisy_m += CONFIG.speed_sd_mps * dt * rng.standard_normal()
+        noisy_m += SPEED_SD_MPS * dt * rng.standard_normal()
         noisy_turn = turn + CONFIG.yaw_rate_sd_radps * dt * rng.standard_normal()
         tracker.predict_tracks(Motion(dt, noisy_m, 0.0, noisy_turn, forward))
     counts = [len(ids - {-1}) for ids in owner.values()]
@@ -108,7 +110,7 @@ def drive_by(rate_hz: float, seed: int, error_time_s: float) -> Passage:
 
 @pytest.mark.parametrize("rate_hz", [10.0, 13.0, 22.0])
 def test_tracks_are_consistent_and_keep_their_ids(rate_hz: float) -> None:
-    passages = [drive_by(rate_hz, seed, CONFIG.error_time_s) for seed in range(6)]
+    passages = [drive_by(rate_hz, seed, ERROR_TIME_S) for seed in range(6)]
     nees = np.concatenate([p.nees for p in passages])
     # tracks of one pole are alike from frame to frame: about one fresh value a pole and second
     independent = 6 * 13 * 1.5
@@ -196,16 +198,19 @@ def test_width_and_height_are_averaged_and_unknown_ones_skipped() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_track_takes_a_detection_by_its_mahalanobis_distance(seed: int) -> None:
+def test_a_track_takes_a_detection_by_its_mahalanobis_distance(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tracking, "GATE_MAX_M", 50.0)
     rng = np.random.default_rng(seed)
     root = rng.normal(0, 0.15, (2, 2))
     spread = root @ root.T + 1e-3 * np.eye(2)
-    gate = np.sqrt(chi2.ppf(CONFIG.gate_probability, 2))
+    gate = np.sqrt(chi2.ppf(GATE_PROBABILITY, 2))
     direction = rng.normal(0, 1, 2)
     # the first and the second detection have the same covariance: their sum is twice that
     edge = gate * direction / np.sqrt(direction @ np.linalg.solve(2.0 * spread, direction))
     for part, taken in ((0.99, True), (1.01, False)):
-        tracker = PoleTracker(CONFIG.model_copy(update={"gate_max_m": 50.0}))
+        tracker = PoleTracker(CONFIG)
         for stamp, point in (
             (0.0, np.array([8.0, 1.0])),
             (0.1, np.array([8.0, 1.0]) + part * edge),
@@ -245,7 +250,7 @@ def test_tracks_are_moved_by_the_error_that_they_share_once_it_is_known() -> Non
 
 
 def test_what_the_detector_takes_for_granted_is_no_evidence() -> None:
-    for probability, sign in ((CONFIG.pole_share, 0.0), (0.6, 1.0), (0.3, -1.0)):
+    for probability, sign in ((POLE_SHARE, 0.0), (0.6, 1.0), (0.3, -1.0)):
         tracker = PoleTracker(CONFIG)
         for step in range(4):
             tracker.correct_tracks(
