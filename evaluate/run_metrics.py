@@ -51,10 +51,11 @@ def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
         },
     }
     if drive.reference is not None and len(drive.reference):
-        # from the first pole-based pose on, without the metres of a start by GNSS
+        # the output counts from the first pole-based pose on; its start by GNSS stands apart
         held = np.isfinite(run.output[:, 3]) if len(run.output) else np.zeros(0, dtype=np.bool_)
-        localized = run.kf.rows(held)
-        for name, trajectory in (("pf", run.pf), ("kf", run.kf), ("kf_localized", localized)):
+        localized = run.kf.rows(held) if held.any() else run.kf
+        start = run.kf.rows(~held) if held.any() else run.kf.rows(np.zeros(len(run.kf), dtype=bool))
+        for name, trajectory in (("pf", run.pf), ("kf", localized), ("kf_start", start)):
             if len(trajectory):
                 result[name] = accuracy(trajectory, drive.reference)
     if isfinite(run.replay_s):

@@ -10,6 +10,7 @@ import typer
 
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
+from polemap.evaluation.verdict import verdict_lines
 from polemap.localize.config import for_car
 from polemap.localize.replay import check_inputs
 from polemap.map.io import read_map
@@ -91,12 +92,13 @@ def command(
             metrics = job.run(folder, seed, show=True)
         else:
             metrics = run_many(job, folder, seed, runs, min(processes, runs), kept)
-    typer.echo(_table(metrics, out))
+    map_notes = pole_map.notes if pole_map is not None else ()
+    typer.echo(_table(metrics, map_notes, out))
 
 
-def _table(metrics: dict[str, Any], out: Path) -> str:
+def _table(metrics: dict[str, Any], map_notes: tuple[str, ...], out: Path) -> str:
     """What the user wants to know first."""
-    lines = [f"note: {note}" for note in metrics["notes"]]
+    lines = [f"note: {note}" for note in (*metrics["notes"], *map_notes)]
     for name, title in (("pf", "particle filter"), ("kf", "output filter")):
         if "lateral_rmse_m" in metrics.get(name, {}):
             row = metrics[name]
@@ -109,7 +111,9 @@ def _table(metrics: dict[str, Any], out: Path) -> str:
         f"re-initializations {_figure(metrics['reinitializations'], 1, 0)}, "
         f"gate rejections {_figure(metrics['gate_rejections'], 1, 0)}"
     )
-    return "\n".join([*lines, f"wrote {out}"])
+    for kind, count in metrics.get("input_problems", {}).items():
+        lines.append(f"left out: {_figure(count, 1, 0)} x {kind.replace('_', ' ')}")
+    return "\n".join([*lines, *verdict_lines(metrics["verdict"]), f"wrote {out}"])
 
 
 def _figure(value: Any, scale: float = 1.0, digits: int = 3) -> str:

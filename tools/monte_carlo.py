@@ -17,6 +17,7 @@ from polemap.drivelog.atomic import atomic_folder, copy_folder, reserved
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.jobs import LocalWorkers, run_jobs
 from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
+from polemap.evaluation.verdict import judge
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
 from polemap.map.landmark_map import PoleMap
@@ -56,6 +57,7 @@ class Replay:
                 progress=advance,
             )
         metrics = run_metrics(run, drive)
+        metrics["verdict"] = judge(run, drive, self.pole_map)
         spent = looked.total_s()
         metrics["timing_ms"] = {**timing_summary(spent), **metrics["timing_ms"]}
         metrics["machine"] = describe_machine()
@@ -141,6 +143,11 @@ def run_many(
         **{name: ordered[0][name] for name in ("drive", "frame", "notes")},
         **spread(ordered),
     }
+    words = [run["verdict"]["trust"] for run in ordered]
+    worst = max(words, key=("trustworthy", "partly", "not").index)
+    said = next(run["verdict"]["sentence"] for run in ordered if run["verdict"]["trust"] == worst)
+    counted = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+    metrics["verdict"] |= {"trust": worst, "sentence": f"{said} (runs: {counted})"}
     write_metrics(folder / "metrics.json", metrics)
     return metrics
 
