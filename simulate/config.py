@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from math import pi, tan
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from polemap.simulate.faults import Fault
 from polemap.stereo.rig import Mounting, StereoRig
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
-
 
 # rectified grey cameras; focal length and baseline from calib.txt of the odometry sequences
 KITTI_GEOMETRY: dict[str, float] = {
@@ -35,36 +30,33 @@ class _Section(BaseModel):
 class CameraConfig(_Section):
     """The stereo camera; the default is the source paper's, `preset: kitti` that of KITTI.
 
-    Image noise is given in electrons: `full_well_e` at the white level sets the shot noise. Light
-    that an exposure of `largest_exposure` cannot gather is made up by gain, noise included.
-    `calibration_error_deg` is the standard deviation about each axis: the rectified pairs of KITTI
-    are 0.2 to 0.3 px out of true vertically, colour and grey.
-    Without a frame rate the scenario's is used.
+    How its pictures look (noise, optics, exposure) is in `simulate/camera.py`.
     """
 
-    preset: Literal["paper", "kitti"] = "paper"
-    width_px: int = Field(default=768, ge=32, le=4096)
-    height_px: int = Field(default=480, ge=32, le=4096)
-    focal_px: Positive = 384.0 / tan(25.0 * pi / 180.0)
-    baseline_m: Positive = 0.30
-    mount_x_m: float = 1.9
-    mount_y_m: float = 0.15
-    mount_z_m: Positive = 1.3
-    mount_pitch_rad: float = 0.0
-    frame_rate_hz: Positive | None = None
-    bits: Literal[8, 12] = 8
-    tone_exponent: Annotated[float, Field(gt=0.3, le=1.0)] = 0.9
-    target_level: Annotated[float, Field(gt=0.02, lt=0.9)] = 0.36
-    exposure_wander: NotNegative = 0.12
-    full_well_e: Positive = 8000.0
-    read_noise_e: NotNegative = 9.0
-    fixed_pattern: NotNegative = 0.006
-    blur_px: NotNegative = 0.55
-    vignetting: Share = 0.18
-    right_gain_sd: NotNegative = 0.06
-    right_offset_sd: NotNegative = 0.006
-    calibration_error_deg: NotNegative = 0.02
-    largest_exposure: Positive = 6.0
+    preset: Literal["paper", "kitti"] = Field(
+        "paper", description="Whose geometry stands for what is not said: kitti is KITTI's."
+    )
+    width_px: int = Field(768, ge=32, le=4096, description="Width of a picture, px.")
+    height_px: int = Field(480, ge=32, le=4096, description="Height of a picture, px.")
+    focal_px: float = Field(
+        384.0 / tan(25.0 * pi / 180.0), gt=0.0, description="Rectified focal length, px."
+    )
+    baseline_m: float = Field(0.30, gt=0.0, description="Between the two cameras, m.")
+    mount_x_m: float = Field(1.9, description="Left camera ahead of the rear axle, m.")
+    mount_y_m: float = Field(0.15, description="Left camera left of the middle, m.")
+    mount_z_m: float = Field(1.3, gt=0.0, description="Cameras above the ground, m.")
+    mount_pitch_rad: float = Field(0.0, description="Nose down positive, rad.")
+    frame_rate_hz: float | None = Field(
+        None, gt=0.0, description="Pairs a second, Hz; without it the scenario's."
+    )
+    bits: Literal[8, 12] = Field(8, description="Bits of a pixel.")
+    calibration_error_deg: float = Field(
+        0.02,
+        ge=0.0,
+        le=5.0,
+        description="Error of the rectification about each axis, sd, degrees; KITTI's pairs, colour"
+        " and grey, are 0.2 to 0.3 px out of true vertically.",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -97,93 +89,101 @@ def kitti_camera(**changes: object) -> CameraConfig:
 class RenderConfig(_Section):
     """Quality of the pictures against time."""
 
-    edge_rays: int = Field(default=2, ge=0, le=8)
-    shadows: bool = True
-    shadow_rays: bool = False
-    workers: int = Field(default=0, ge=0, le=64)
-    truth_images: bool = False
+    shadows: bool = Field(True, description="Whether the sun casts shadows.")
+    shadow_rays: bool = Field(
+        False, description="Shadows by a ray a pixel: sharper than a shadow map, and slower."
+    )
+    workers: int = Field(0, ge=0, le=64, description="Processes; 0 for one a core.")
+    truth_images: bool = Field(False, description="Write true disparities and object ids, too.")
 
 
 class OdometryConfig(_Section):
-    """Wheel odometry and yaw gyro; a scale or bias is drawn once a drive."""
+    """Wheel odometry and yaw gyro; a scale or bias is drawn once a drive.
 
-    rate_hz: Positive = 50.0
-    speed_scale_sd: NotNegative = 0.006
-    speed_noise_sd_mps: NotNegative = 0.03
-    tick_m: NotNegative = 0.025
-    slip_per_mps2: NotNegative = 0.002
-    yaw_bias_sd_radps: NotNegative = 0.003
-    yaw_bias_drift_radps_sqrt_s: NotNegative = 0.00004
-    yaw_noise_sd_radps: NotNegative = 0.003
-    yaw_scale_sd: NotNegative = 0.004
-    latency_s: NotNegative = 0.012
-    jitter_s: NotNegative = 0.002
+    Ticks, slip, drift and scale of the gyro are `sensors.WheelErrors`.
+    """
+
+    rate_hz: float = Field(50.0, gt=0.0, description="Samples a second, Hz.")
+    speed_scale_sd: float = Field(0.006, ge=0.0, description="Relative error of the speed, sd.")
+    speed_noise_sd_mps: float = Field(
+        0.03, ge=0.0, description="White noise of the speed while rolling, sd, m/s."
+    )
+    yaw_bias_sd_radps: float = Field(0.003, ge=0.0, description="Bias of the gyro, sd, rad/s.")
+    yaw_noise_sd_radps: float = Field(
+        0.003, ge=0.0, description="White noise of the gyro, sd, rad/s."
+    )
+    latency_s: float = Field(
+        0.012, ge=0.0, description="From measuring to arrival, s; jitter comes on top of it."
+    )
 
 
 class GnssConfig(_Section):
     """A cheap receiver: slowly wandering error, jumps near buildings, outages.
 
-    `multipath_per_min` jumps a minute come beside the highest fronts, fewer beside lower ones and
-    none where no house is near.
+    How long these last is `sensors.ReceiverErrors`.
     """
 
-    rate_hz: Positive = 2.0
-    wander_sd_m: NotNegative = 1.8
-    wander_time_s: Positive = 60.0
-    noise_sd_m: NotNegative = 0.35
-    multipath_sd_m: NotNegative = 2.5
-    multipath_per_min: NotNegative = 5.0
-    multipath_time_s: Positive = 6.0
-    outages_per_min: NotNegative = 0.15
-    outage_s: Positive = 8.0
-    antenna_x_m: float = 0.4
-    antenna_y_m: float = 0.0
-    latency_s: NotNegative = 0.18
-    jitter_s: NotNegative = 0.04
+    rate_hz: float = Field(2.0, gt=0.0, description="Fixes a second, Hz.")
+    wander_sd_m: float = Field(
+        1.8, ge=0.0, description="Error that wanders slowly, sd in each axis, m."
+    )
+    multipath_per_min: float = Field(
+        5.0,
+        ge=0.0,
+        description="Jumps a minute beside the highest fronts; fewer beside lower ones, none where"
+        " no house is near.",
+    )
+    outages_per_min: float = Field(0.15, ge=0.0, description="Outages a minute.")
+    antenna_x_m: float = Field(0.4, description="Antenna ahead of the rear axle, m.")
+    antenna_y_m: float = Field(0.0, description="Antenna left of the middle, m.")
+    latency_s: float = Field(
+        0.18, ge=0.0, description="From measuring to arrival, s; jitter comes on top of it."
+    )
 
 
 class ReferenceConfig(_Section):
-    """The reference system: `good` like a coupled INS, `drifting` like the source paper's."""
+    """The reference system."""
 
-    kind: Literal["good", "drifting"] = "good"
-    rate_hz: Positive = 50.0
-    good_sd_m: NotNegative = 0.02
-    good_yaw_sd_rad: NotNegative = 0.0008
-    drift_sd_m: NotNegative = 0.8
-    drift_time_s: Positive = 120.0
-    drift_yaw_sd_rad: NotNegative = 0.004
+    kind: Literal["good", "drifting"] = Field(
+        "good", description="good is a coupled INS, drifting the source paper's."
+    )
+    rate_hz: float = Field(50.0, gt=0.0, description="Poses a second, Hz.")
 
 
 class LatencyConfig(_Section):
     """When a picture reaches the computer after its exposure, and how many never do."""
 
-    camera_min_s: NotNegative = 0.05
-    camera_max_s: NotNegative = 0.15
-    camera_jitter_s: NotNegative = 0.008
-    camera_drop_share: Share = 0.002
+    camera_min_s: float = Field(0.05, ge=0.0, description="Least mean latency of a drive, s.")
+    camera_max_s: float = Field(0.15, ge=0.0, description="Largest mean latency of a drive, s.")
+    camera_drop_share: float = Field(
+        0.002, ge=0.0, le=1.0, description="Share of pictures that never arrive."
+    )
 
 
 class DetectorConfig(_Section):
-    """A pole detector without pictures: misses, clutter, errors of stereo that stay alike.
+    """A pole detector without pictures: misses, clutter, errors of stereo that stay alike."""
 
-    Attributes:
-        detected_share: of the poles in view, what a scan holds.
-        clutter_share: of what a scan holds, what is no pole of the map.
-        range_sd_per_m2: standard deviation of the range, times its square.
-        bearing_sd_rad: across the line of sight.
-        correlated_share: of the variance, what stays with a pole over the drive.
-        latency_s: from looking to the scan's arrival.
-    """
-
-    rate_hz: Positive = 22.0
-    half_view_rad: Annotated[float, Field(gt=0, le=pi)] = 0.44
-    range_max_m: Annotated[float, Field(gt=3.0)] = 30.0
-    detected_share: Share = 0.75
-    clutter_share: Annotated[float, Field(ge=0, lt=1)] = 0.1
-    range_sd_per_m2: NotNegative = 0.0008
-    bearing_sd_rad: NotNegative = 0.002
-    correlated_share: Share = 0.5
-    latency_s: NotNegative = 0.1
+    rate_hz: float = Field(22.0, gt=0.0, description="Scans a second, Hz.")
+    half_view_rad: float = Field(
+        0.44, gt=0.0, le=pi, description="Half the horizontal field of view, rad."
+    )
+    range_max_m: float = Field(30.0, gt=3.0, description="Farthest pole seen, m.")
+    detected_share: float = Field(
+        0.75, ge=0.0, le=1.0, description="Of the poles in view, the share that a scan holds."
+    )
+    clutter_share: float = Field(
+        0.1, ge=0.0, lt=1.0, description="Of what a scan holds, the share that is no pole."
+    )
+    range_sd_per_m2: float = Field(
+        0.0008, ge=0.0, description="Error of the range over its square, sd, 1/m."
+    )
+    bearing_sd_rad: float = Field(
+        0.002, ge=0.0, description="Error across the line of sight, sd, rad."
+    )
+    correlated_share: float = Field(
+        0.5, ge=0.0, le=1.0, description="Share of the variance that stays with a pole."
+    )
+    latency_s: float = Field(0.1, ge=0.0, description="From looking to the scan's arrival, s.")
 
 
 class SimulateConfig(_Section):
@@ -196,5 +196,9 @@ class SimulateConfig(_Section):
     reference: ReferenceConfig = ReferenceConfig()
     latency: LatencyConfig = LatencyConfig()
     detector: DetectorConfig = DetectorConfig()
-    light: Literal["scenario", "dusk", "overcast"] = "scenario"
-    faults: tuple[Fault, ...] = ()
+    light: Literal["scenario", "dusk", "overcast"] = Field(
+        "scenario", description="Time of day and weather; scenario is what the scenario says."
+    )
+    faults: tuple[Fault, ...] = Field(
+        (), description="Faults to lay over the drive, one after the other; see faults.py."
+    )

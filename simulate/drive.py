@@ -22,7 +22,7 @@ from polemap.drivelog.writers.folder import FolderWriter, folder_writer, write_d
 from polemap.extras import check_installed
 from polemap.map.io import read_map, write_map
 from polemap.simulate import sensors
-from polemap.simulate.camera import expose, exposure_of, make_units
+from polemap.simulate.camera import SENSOR, expose, exposure_of, make_units
 from polemap.simulate.camera_pose import camera_poses
 from polemap.simulate.config import SimulateConfig
 from polemap.simulate.detector import PoleDetector
@@ -88,7 +88,7 @@ def make_plan(
     stamps, arrivals = sensors.frame_times(motion, rate, config.latency, rng)
     bumps = sensors.gauss_markov(stamps, 0.0022, 0.3, rng, 2)
     bumps *= np.minimum(motion.value("speed_mps", stamps) / 5.0, 1.0)[:, None]
-    wander = sensors.gauss_markov(stamps, config.camera.exposure_wander, 4.0, rng)[:, 0]
+    wander = sensors.gauss_markov(stamps, SENSOR.exposure_wander, 4.0, rng)[:, 0]
     return Plan(scenario, seed, config, laps, motion, stamps, arrivals, bumps, wander)
 
 
@@ -107,7 +107,9 @@ class Studio:
 
     def __init__(self, plan: Plan, world: World, threads: int) -> None:
         quality = plan.config.render
-        options = RenderOptions(quality.edge_rays, quality.shadows, quality.shadow_rays, threads)
+        options = RenderOptions(
+            shadows=quality.shadows, shadow_rays=quality.shadow_rays, threads=threads
+        )
         self.plan, self.world = plan, world
         self.renderer = Renderer(world, plan.config.camera.rig(), options)
         self._movers = make_traffic(world, plan.motion, np.random.default_rng([plan.seed, 30]))
@@ -140,11 +142,11 @@ class Studio:
     def picture(self, number: int, views: tuple[View, View] | None = None) -> tuple[Image, Image]:
         """The digital pair of picture `number`."""
         views = views or self.views(number)
-        camera = self.plan.config.camera
-        gain = exposure_of(views[0].irradiance, camera, float(self.plan.exposure_log[number]))
+        bits = self.plan.config.camera.bits
+        gain = exposure_of(views[0].irradiance, float(self.plan.exposure_log[number]))
         left, right = (
             expose(
-                view.irradiance, gain, unit, camera,
+                view.irradiance, gain, unit, bits,
                 np.random.default_rng([self.plan.seed, 40, number, side]),
             )
             for side, (view, unit) in enumerate(zip(views, self._units, strict=True))
@@ -253,7 +255,10 @@ def simulate_drive(
         rng = np.random.default_rng([seed, 22])
         writer.odometry(sensors.odometry(plan.motion, config.odometry, rng))
         writer.gnss(sensors.gnss(plan.motion, plan.origin_m, config.gnss, rng, world.fronts))
-        writer.reference(sensors.reference(plan.motion, plan.origin_m, config.reference, rng))
+        errors = sensors.REFERENCES[config.reference.kind]
+        writer.reference(
+            sensors.reference(plan.motion, plan.origin_m, errors, config.reference.rate_hz, rng)
+        )
         writer.laps(
             Lap(f"lap_{k + 1}", float(a), float(b))
             for k, (a, b) in enumerate(pairwise(plan.motion.lap_starts_s))

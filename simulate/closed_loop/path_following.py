@@ -20,7 +20,7 @@ from polemap.simulate.closed_loop.road import Road, winding_road
 from polemap.simulate.config import DetectorConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState
-from polemap.simulate.points.drive import GNSS, ODOMETRY
+from polemap.simulate.points.drive import GNSS, ODOMETRY, RECEIVER
 from polemap.vehicle.packed import transform_point
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.pose import Pose2D
@@ -240,10 +240,10 @@ class _Drive:
         rear = self._rear(state)
         if now >= ticks["gnss"] - 1e-9:
             ticks["gnss"] += GNSS_S
-            keep = np.exp(-GNSS_S / GNSS.wander_time_s)
+            keep = np.exp(-GNSS_S / RECEIVER.wander_time_s)
             kick = GNSS.wander_sd_m * np.sqrt(1.0 - keep**2) * rng.standard_normal(2)
             self._gnss_error = keep * self._gnss_error + kick
-            x, y = (self._gnss_error + GNSS.noise_sd_m * rng.standard_normal(2)).tolist()
+            x, y = (self._gnss_error + RECEIVER.noise_sd_m * rng.standard_normal(2)).tolist()
             self._localizer.add_sample(GnssFix(now, now, rear.x_m + x, rear.y_m + y, 1.0))
         if now >= ticks["scan"] - 1e-9:
             ticks["scan"] += SCAN_S

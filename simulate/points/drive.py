@@ -20,7 +20,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import Sample
 from polemap.map.landmark_map import PoleMap
 from polemap.simulate import sensors
-from polemap.simulate.config import DetectorConfig, GnssConfig, OdometryConfig, ReferenceConfig
+from polemap.simulate.config import DetectorConfig, GnssConfig, OdometryConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.points.motion import (
     MotionModel,
@@ -39,17 +39,18 @@ WHEELBASE_M = 2.7
 _OPEN_SKY = Fronts.of([])
 
 ODOMETRY = OdometryConfig(
-    speed_scale_sd=0.01, speed_noise_sd_mps=0.05, tick_m=0.0, slip_per_mps2=0.0,
-    yaw_bias_sd_radps=0.001, yaw_bias_drift_radps_sqrt_s=0.0, yaw_noise_sd_radps=0.002,
-    yaw_scale_sd=0.0, latency_s=0.0, jitter_s=0.0,
+    speed_scale_sd=0.01, speed_noise_sd_mps=0.05, yaw_bias_sd_radps=0.001,
+    yaw_noise_sd_radps=0.002, latency_s=0.0,
 )  # fmt: skip
 """What stays wrong is a scale and a bias; the rest is white."""
 
 GNSS = GnssConfig(
-    rate_hz=5.0, wander_sd_m=2.5, noise_sd_m=0.2, multipath_per_min=0.0, outages_per_min=0.0,
-    antenna_x_m=0.0, latency_s=0.0, jitter_s=0.0,
+    rate_hz=5.0, wander_sd_m=2.5, multipath_per_min=0.0, outages_per_min=0.0, antenna_x_m=0.0,
+    latency_s=0.0,
 )  # fmt: skip
 """Under open sky, the antenna at the rear axle."""
+
+RECEIVER = sensors.ReceiverErrors(noise_sd_m=0.2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,8 @@ class PointScenario:
     gnss: GnssConfig | None = GNSS
     detector: DetectorConfig | None = field(default_factory=DetectorConfig)
     detector_error_time_s: float = np.inf
-    reference: ReferenceConfig | None = None
+    reference: sensors.ReferenceErrors | None = None
+    reference_hz: float = 50.0
     pose_source: PoseSource | None = None
     gnss_outage_s: tuple[float, float] = (np.inf, np.inf)
     kidnap_s: float = np.inf
@@ -153,12 +155,12 @@ def sensed(
     odometry = gnss = reference = None
     scans: tuple[Detections, ...] = ()
     if scenario.odometry is not None:
-        odometry = sensors.odometry(motion, scenario.odometry, rng)
+        odometry = sensors.odometry(motion, scenario.odometry, rng, sensors.NO_WHEEL_ERRORS)
         odometry = replace(
             odometry, stamp_s=odometry.stamp_s + begin, arrival_s=odometry.arrival_s + begin
         )
     if scenario.gnss is not None:
-        gnss = sensors.gnss(motion, origin, scenario.gnss, rng, _OPEN_SKY)
+        gnss = sensors.gnss(motion, origin, scenario.gnss, rng, _OPEN_SKY, RECEIVER)
         first, last = scenario.gnss_outage_s
         gnss = gnss.take((gnss.stamp_s < first) | (gnss.stamp_s > last))
         gnss = replace(gnss, stamp_s=gnss.stamp_s + begin, arrival_s=gnss.arrival_s + begin)
@@ -176,7 +178,9 @@ def sensed(
             for scan in sensors.pole_scans(detector, motion, scenario.detector.rate_hz)
         )
     if scenario.reference is not None:
-        reference = sensors.reference(motion, origin, scenario.reference, rng)
+        reference = sensors.reference(
+            motion, origin, scenario.reference, scenario.reference_hz, rng
+        )
         reference = replace(reference, stamp_s=reference.stamp_s + begin)
     return Drive(
         name="points",

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from polemap.simulate.config import DetectorConfig, GnssConfig, ReferenceConfig
+from polemap.simulate.config import DetectorConfig, GnssConfig
 from polemap.simulate.points.drive import GNSS, PointScenario
 from polemap.simulate.points.motion import CityTraffic, Slip
 from polemap.simulate.points.pose_source import PoseSource
+from polemap.simulate.sensors import ReferenceErrors
 
 
 def gnss(rate_hz: float = 1.0, wander_sd_m: float = 2.5) -> GnssConfig:
@@ -29,6 +30,6 @@ STREWN_CITY = PointScenario(
         clutter_share=0.05, range_sd_per_m2=0.0002, bearing_sd_rad=0.003, correlated_share=0.0,
         latency_s=0.03,
     ),
-    reference=ReferenceConfig(good_sd_m=0.01, good_yaw_sd_rad=0.0),
+    reference=ReferenceErrors(0.01, 40.0, 0.0),
 )  # fmt: skip
 """For the whole localizer: poles all around, seen by a detector whose errors do not last."""

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.streams import ReferenceStream
-from polemap.simulate.config import DetectorConfig, ReferenceConfig
+from polemap.simulate.config import DetectorConfig
 from polemap.simulate.points.drive import PointScenario, simulate_points
 from polemap.simulate.points.motion import GivenPoses
 from polemap.simulate.points.poles import Poles, passing_things
 from polemap.simulate.points.town import town_poles, town_route
+from polemap.simulate.sensors import ReferenceErrors
 
 Floats = NDArray[np.float64]
 Town = Poles
@@ -70,10 +71,8 @@ def drive_through(
         gnss=None,
         detector=DETECTOR,
         detector_error_time_s=0.3,
-        reference=ReferenceConfig(
-            kind="drifting", rate_hz=10.0, drift_sd_m=reference_sd_m,
-            drift_time_s=reference_time_s, drift_yaw_sd_rad=0.001,
-        ),
+        reference=ReferenceErrors(reference_sd_m, reference_time_s, 0.001),
+        reference_hz=10.0,
         start_s=start_s,
         frame=FRAME,
     )  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polemap.simulate import sensors
-from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig, ReferenceConfig
+from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig
 from polemap.simulate.driver import Motion, drive_route
 from polemap.simulate.route import make_route
 from polemap.simulate.scenario import Scenario
@@ -52,10 +52,9 @@ def test_odometry_rolls_the_way_within_its_scale(motion: Motion) -> None:
 
 def test_odometry_without_errors_is_the_truth(motion: Motion) -> None:
     config = OdometryConfig(
-        speed_scale_sd=0, speed_noise_sd_mps=0, tick_m=0, slip_per_mps2=0, yaw_bias_sd_radps=0,
-        yaw_bias_drift_radps_sqrt_s=0, yaw_noise_sd_radps=0, yaw_scale_sd=0,
+        speed_scale_sd=0, speed_noise_sd_mps=0, yaw_bias_sd_radps=0, yaw_noise_sd_radps=0,
     )  # fmt: skip
-    stream = sensors.odometry(motion, config, np.random.default_rng(0))
+    stream = sensors.odometry(motion, config, np.random.default_rng(0), sensors.NO_WHEEL_ERRORS)
     assert np.allclose(stream.speed_mps, motion.value("speed_mps", stream.stamp_s), atol=1e-9)
     rate = motion.value("yaw_rate_radps", stream.stamp_s)
     assert np.allclose(stream.yaw_rate_radps, rate, atol=1e-12)
@@ -70,16 +69,17 @@ def test_gnss_errors_over_many_drives(motion: Motion) -> None:
         antenna = pose[:, :2] + 0.4 * np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], 1)
         place = np.stack([stream.east_m, stream.north_m], 1) - ORIGIN
         errors.append((place - antenna)[len(place) // 2])
-    expected = np.hypot(quiet.wander_sd_m, quiet.noise_sd_m)
+    expected = np.hypot(quiet.wander_sd_m, sensors.ReceiverErrors().noise_sd_m)
     assert np.std(errors) == pytest.approx(expected, rel=4 / np.sqrt(2 * 120))
 
 
 def test_gnss_jumps_raise_hdop_and_outages_remove_fixes(motion: Motion) -> None:
     quiet = GnssConfig(multipath_per_min=0, outages_per_min=0)
-    loud = GnssConfig(multipath_per_min=30, outages_per_min=0, multipath_sd_m=8)
+    loud = GnssConfig(multipath_per_min=30, outages_per_min=0)
+    far_jumps = sensors.ReceiverErrors(multipath_sd_m=8)
     gone = GnssConfig(outages_per_min=20)
     streams = [
-        sensors.gnss(motion, ORIGIN, config, np.random.default_rng(1), CANYON)
+        sensors.gnss(motion, ORIGIN, config, np.random.default_rng(1), CANYON, far_jumps)
         for config in (quiet, loud, gone)
     ]
     assert streams[1].hdop.max() > streams[0].hdop.max() + 0.2
@@ -89,11 +89,11 @@ def test_gnss_jumps_raise_hdop_and_outages_remove_fixes(motion: Motion) -> None:
 def test_gnss_jumps_come_beside_high_fronts_only_and_across_them(motion: Motion) -> None:
     # one tall house along the first leg of the loop, which lies on the x axis
     beside = Fronts.of([(20.0, -14.0, 0.0, 16.0, 12.0)])
-    silent = {"wander_sd_m": 0.0, "noise_sd_m": 0.0, "outages_per_min": 0.0}
-    config = GnssConfig(multipath_per_min=60, multipath_sd_m=8, **silent)
+    config = GnssConfig(multipath_per_min=60, wander_sd_m=0.0, outages_per_min=0.0)
+    silent = sensors.ReceiverErrors(noise_sd_m=0.0, multipath_sd_m=8)
     near, far = [], []
     for seed in range(8):
-        stream = sensors.gnss(motion, ORIGIN, config, np.random.default_rng(seed), beside)
+        stream = sensors.gnss(motion, ORIGIN, config, np.random.default_rng(seed), beside, silent)
         pose = motion.at(stream.stamp_s)
         lever = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], 1)
         antenna = pose[:, :2] + config.antenna_x_m * lever
@@ -118,10 +118,10 @@ def test_echoes_rise_with_the_front_and_point_at_it() -> None:
 
 @pytest.mark.parametrize(("kind", "low", "high"), [("good", 0.01, 0.03), ("drifting", 0.4, 1.3)])
 def test_references_are_good_or_drift(motion: Motion, kind: str, low: float, high: float) -> None:
-    config = ReferenceConfig(kind=kind)  # type: ignore[arg-type]
+    errors = sensors.REFERENCES[kind]
     ends = []
     for seed in range(40):
-        stream = sensors.reference(motion, ORIGIN, config, np.random.default_rng(seed))
+        stream = sensors.reference(motion, ORIGIN, errors, 50.0, np.random.default_rng(seed))
         truth = motion.at(stream.stamp_s)
         ends.append((stream.poses[:, :2] - ORIGIN - truth[:, :2])[-1])
     assert low < np.std(ends) < high

@@ -9,7 +9,7 @@ import pytest
 
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.samples import GnssFix, OdometrySample
-from polemap.simulate.config import DetectorConfig, ReferenceConfig
+from polemap.simulate.config import DetectorConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.points.drive import PointScenario, simulate_points
 from polemap.simulate.points.motion import (
@@ -24,6 +24,7 @@ from polemap.simulate.points.motion import (
 from polemap.simulate.points.poles import scattered_poles
 from polemap.simulate.points.pose_source import PoseSource
 from polemap.simulate.points.town import town_poles, town_route
+from polemap.simulate.sensors import REFERENCES
 from polemap.simulate.stream_faults import GnssDropout
 from polemap.vehicle.pose import wrap_angle
 
@@ -32,7 +33,7 @@ MOTIONS = [WindingRoad(), CityTraffic(slip=Slip()), WhiteAccelerations(10.0, 1.0
 
 
 def test_the_same_generator_gives_the_same_drive() -> None:
-    scenario = replace(SHORT, pose_source=PoseSource(jitter_s=0.02), reference=ReferenceConfig())
+    scenario = replace(SHORT, pose_source=PoseSource(jitter_s=0.02), reference=REFERENCES["good"])
     one, again, other = (
         simulate_points(scenario, np.random.default_rng(seed)) for seed in (4, 4, 5)
     )
@@ -175,7 +176,7 @@ def test_strewn_poles_leave_the_path_free() -> None:
 
 def test_samples_come_in_order_of_arrival_and_on_the_clock_of_the_drive() -> None:
     scenario = replace(
-        SHORT, start_s=500.0, gnss_outage_s=(2.0, 3.0), reference=ReferenceConfig(),
+        SHORT, start_s=500.0, gnss_outage_s=(2.0, 3.0), reference=REFERENCES["good"],
         pose_source=PoseSource(),
     )  # fmt: skip
     drive = simulate_points(scenario, np.random.default_rng(0))
