@@ -138,3 +138,15 @@ def test_an_empty_pair_has_an_empty_table(tmp_path: Path) -> None:
 def test_every_kind_of_input_error_has_one_base() -> None:
     for kind in (InputError, FrameError, StereoError):
         assert issubclass(kind, polemap.PolemapError)
+
+
+def test_a_folder_with_a_drive_yaml_describes_a_car(on_disk: Path, tmp_path: Path) -> None:
+    (tmp_path / "car").mkdir()
+    description = (on_disk / "drive" / "drive.yaml").read_text(encoding="utf-8")
+    (tmp_path / "car" / "drive.yaml").write_text(description, encoding="utf-8")
+    car = polemap.open_drive(tmp_path / "car")
+    localizer = polemap.Localizer(polemap.read_map(on_disk / "map.gpkg", car.frame), car, FEW)
+    assert localizer.pose_at(0.0) is None
+    for sample in polemap.open_drive(on_disk / "drive").samples():
+        localizer.add_sample(sample)
+    assert localizer.pose_at(sample.arrival_s) is not None
