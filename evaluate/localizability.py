@@ -40,7 +40,7 @@ _WIDTH_M = 0.2
 class SensorModel:
     """Where a sensor sees poles, how surely and how well.
 
-    The variance of a sighting at range r is `along_m`^2 + (`along_per_m2` r^2)^2 along its ray and
+    The variance of a detection at range r is `along_m`^2 + (`along_per_m2` r^2)^2 along its ray and
     `across_m`^2 + (`across_rad` r)^2 across it.
     """
 
@@ -52,7 +52,7 @@ class SensorModel:
     across_rad: float
 
     def covariance(self, points_vehicle_m: Floats) -> Floats:
-        """Covariance `(n, 2, 2)` of sightings at `(n, 2)`, in the axes of the vehicle."""
+        """Covariance `(n, 2, 2)` of detections at `(n, 2)`, in the axes of the vehicle."""
         distance, ray, side = _rays(points_vehicle_m, self.view)
         along = self.along_m**2 + (self.along_per_m2 * distance**2) ** 2
         across = self.across_m**2 + (self.across_rad * distance) ** 2
@@ -80,7 +80,7 @@ def camera_sensor(
 
 
 def scans_sensor(scans: tuple[Detections, ...], p_detection: float) -> SensorModel | None:
-    """What a detector states of its sightings, as a model; None without view or sightings."""
+    """What a detector states of its detections, as a model; None without view or detections."""
     view = next((scan.view for scan in scans if scan.view is not None), None)
     if view is None or not any(len(scan) for scan in scans):
         return None
@@ -117,7 +117,7 @@ class Localizability:
     Attributes:
         poses: `(n, 3)`.
         distance_m: along the line through the poses, from the first.
-        poles_in_view: expected number of sightings, existence and detection included.
+        poles_in_view: expected number of detections, existence and detection included.
         lateral_sd_m, longitudinal_sd_m, yaw_sd_rad: of one look.
     """
 

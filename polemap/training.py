@@ -126,20 +126,20 @@ def collect(
         raise InputError(f"training: drive {drive.name} needs images and a reference")
     count = len(drive.frame_stamps_s)
     poses = drive.reference.at(drive.frame_stamps_s)
-    looks: list[tuple[Floats, Floats, Floats, int]] = []
+    observed: list[tuple[Floats, Floats, Floats, int]] = []
     for row in range(0, count, config.every):
         if not np.isfinite(poses[row]).all():
             continue
         frame = drive.read_frame(row)
         disparity = matcher.match(frame.left, frame.right)
         found = detect(frame, disparity, drive.rig, None, detection).detections
-        looks.append((poses[row], found.points_vehicle_m, found.features, row * parts // count))
+        observed.append((poses[row], found.points_vehicle_m, found.features, row * parts // count))
         if progress is not None:
             progress(config.every)
     # a camera out of true puts far poles beside the map's, which would be taken for other things
-    offset_px = offset_from_map([look[:2] for look in looks], pole_map, drive.rig)
+    offset_px = offset_from_map([one[:2] for one in observed], pole_map, drive.rig)
     features, labels, groups, poles = [], [], [], []
-    for pose, seen, measured, part in looks:
+    for pose, seen, measured, part in observed:
         points = transform_points(pose, with_disparity(seen, offset_px, drive.rig))
         slack = config.per_range * np.hypot(*seen.T)
         nearest, distance = _nearest(points, pole_map.points_m)
