@@ -12,9 +12,10 @@ import typer
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.evaluation.exclusions import parse_interval
+from polemap.evaluation.io import open_routes
 from polemap.evaluation.results import RouteResult
 from polemap.evaluation.route import evaluate_route, route_systems
-from polemap.evaluation.routes import Route, open_routes
+from polemap.evaluation.routes import Route
 from polemap.evaluation.runs.io import read_run_set
 from polemap.tools.options import SeedOption
 from polemap.tools.progress import progress
