@@ -19,6 +19,9 @@ LARGEST_BYTES = 20_000 * MEGABYTE
 # stamps may be nanoseconds; metres go once round the earth; quaternions are normalised by use
 _LARGEST = np.array([1e20, 1e9, 1e9, 1e9, 1e3, 1e3, 1e3, 1e3])
 
+# a quaternion farther from length one than rounding makes it is no rotation
+_UNIT_TOLERANCE = 0.1
+
 
 def read_tum(path: Path) -> Trajectory:
     """Read planar poses; `#` starts a comment.
@@ -27,7 +30,7 @@ def read_tum(path: Path) -> Trajectory:
 
     Raises:
         InputError: the file is missing, has no pose, a line has not eight numbers, or a value is
-            not finite.
+            not finite, or a quaternion is none of length one.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such trajectory")
@@ -50,6 +53,13 @@ def read_tum(path: Path) -> Trajectory:
         raise InputError(
             f"{path}: pose {row + 1} has {TUM_COLUMNS[column]} = {table[row, column]:g}; every "
             f"value of a TUM trajectory must be finite and at most {_LARGEST[column]:g}"
+        )
+    norm = np.sqrt(np.sum(table[:, 4:8] ** 2, axis=1))
+    wrong = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
+    if len(wrong):
+        raise InputError(
+            f"{path}: pose {wrong[0] + 1} has a quaternion of length {norm[wrong[0]]:.3g}: "
+            "no orientation; write unit quaternions (0 0 0 1 is yaw 0)"
         )
     stamp = table[:, 0]
     rising = stamp > np.concatenate([[-np.inf], np.maximum.accumulate(stamp)[:-1]])

@@ -10,8 +10,10 @@ import numpy as np
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError, PolemapError
 from polemap.drivelog.tum import read_tum
+from polemap.evaluation.alignment import Alignment, align
 from polemap.evaluation.routes import Recording, Route, median_track, same_course, unused_name
 from polemap.evaluation.runs.io import RunSet
+from polemap.evaluation.verdict import built_from
 from polemap.map.io import read_map
 from polemap.map.landmark_map import PoleMap
 from polemap.parsing.csv_text import read_rows
@@ -20,7 +22,10 @@ from polemap.vehicle.trajectory import Trajectory
 
 
 def open_routes(
-    run_sets: Sequence[RunSet], added: Mapping[str, Path] | None = None, max_runs: int | None = None
+    run_sets: Sequence[RunSet],
+    added: Mapping[str, Path] | None = None,
+    max_runs: int | None = None,
+    alignment: Alignment = "none",
 ) -> list[Route]:
     """Group run sets into routes; read their drives and maps where these are still there.
 
@@ -40,13 +45,15 @@ def open_routes(
         recording, remarks = _open_recording(settings, max_runs)
         recordings.append(recording)
         notes.append(remarks)
-    recordings = _with_added(recordings, added or {})
+    recordings, done = _with_added(recordings, added or {}, alignment)
     routes: list[Route] = []
     for members in same_course(recordings):
         drive = recordings[members[0]].drive
         first = drive.name if drive is not None else recordings[members[0]].name
         remarks = [note for i in members for note in notes[i]]
+        remarks += [text for i in members for text in done.get(i, ())]
         pole_map = _open_map(recordings[members[0]], remarks)
+        remarks += [text for i in members for text in _own_map(recordings[i], pole_map)]
         name = unused_name(first.split(":")[0], {route.name: None for route in routes})
         ours = tuple(recordings[i] for i in members)
         routes.append(Route(name, ours, pole_map, tuple(dict.fromkeys(remarks))))
@@ -109,17 +116,45 @@ def _open_map(recording: Recording, notes: list[str]) -> PoleMap | None:
         return None
 
 
-def _with_added(recordings: list[Recording], added: Mapping[str, Path]) -> list[Recording]:
-    """Give every recording the part of each added trajectory that shares its time."""
+def _own_map(recording: Recording, pole_map: PoleMap | None) -> list[str]:
+    """Whether the map was built from the drive that was localized in it."""
+    if pole_map is None or recording.drive is None:
+        return []
+    lap = recording.main.lap
+    try:
+        part = recording.drive.lap(lap) if lap is not None else recording.drive
+    except InputError:
+        return []
+    if not built_from(pole_map, part):
+        return []
+    return [f"{recording.name}: its map was built from this drive: the figures flatter"]
+
+
+def _with_added(
+    recordings: list[Recording], added: Mapping[str, Path], alignment: Alignment
+) -> tuple[list[Recording], dict[int, list[str]]]:
+    """Give every recording the part of each added trajectory that shares its time.
+
+    Returns:
+        The recordings, and by their number how the trajectories were aligned.
+    """
     result = list(recordings)
+    done: dict[int, list[str]] = {}
     for name, path in added.items():
         track = read_tum(path)
         used = False
         for number, one in enumerate(result):
+            goal = one.reference if one.reference is not None else one.guide
+            shared = track
+            if alignment == "time":
+                shared, text = align(track, goal, alignment, name)
             start, end = one.guide.stamp_s[0], one.guide.stamp_s[-1]
-            part = track.between(float(start), float(end))
+            part = shared.between(float(start), float(end))
             if len(part) > 1:
                 used = True
+                if alignment != "time":
+                    part, text = align(part, goal, alignment, name)
+                done.setdefault(number, []).append(text)
                 result[number] = Recording(
                     one.name, one.settings, one.guide, one.drive, one.reference,
                     one.reference_sd_m, one.truth, {**one.added, name: part},
@@ -131,6 +166,6 @@ def _with_added(recordings: list[Recording], added: Mapping[str, Path]) -> list[
             )
             raise InputError(
                 f"{path}: its stamps {track.stamp_s[0]:.3f} to {track.stamp_s[-1]:.3f} s share no "
-                f"time with the runs ({spans}); stamps must be on the recording's clock"
+                f"time with the runs ({spans}); bring them to one clock, or --align time"
             )
-    return result
+    return result, done

@@ -17,6 +17,8 @@ from polemap.drivelog.plausibility.odometer import Odometer
 Floats = NDArray[np.float64]
 
 LAG_MAX_S = 60.0
+# a lag that leaves less in common than this is not looked at
+OVERLAP_MIN_S = 8.0
 _STRETCH_MAX_S = 900.0
 # motion whose standard deviation is below these is noise
 _SPEED_SD_MPS, _TURN_SD_RADPS = 0.4, 0.02
@@ -38,7 +40,12 @@ class Lag:
     gain: float
 
 
-def find_lag(first: Odometer, second: Odometer, lag_max_s: float = LAG_MAX_S) -> Lag | None:
+def find_lag(
+    first: Odometer,
+    second: Odometer,
+    lag_max_s: float = LAG_MAX_S,
+    overlap_min_s: float = OVERLAP_MIN_S,
+) -> Lag | None:
     """The lag of the second stream behind the first; None where the motion does not show it."""
     width = max(first.smooth_s, second.smooth_s, 0.5)
     # a grid no finer than the coarser stream: between its samples nothing is known
@@ -50,7 +57,7 @@ def find_lag(first: Odometer, second: Odometer, lag_max_s: float = LAG_MAX_S) ->
     shift = round((start_b - start_a) / step)
     rest = (start_b - start_a) - shift * step
     lags = np.arange(-round(lag_max_s / step), round(lag_max_s / step) + 1)
-    least = max(8.0, 0.3 * min(len(values_a), len(values_b)) * step) / step
+    least = max(overlap_min_s, 0.3 * min(len(values_a), len(values_b)) * step) / step
     scores = np.full(len(lags), -np.inf)
     best = np.zeros(len(lags))
     samples = np.zeros(len(lags))

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from os import cpu_count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
+from polemap.evaluation.alignment import ALIGNMENTS, Alignment
 from polemap.evaluation.exclusions import parse_interval
 from polemap.evaluation.io import open_routes
 from polemap.evaluation.results import RouteResult
@@ -41,8 +42,15 @@ def command(
     ] = None,
     add: Annotated[
         list[str] | None,
-        typer.Option("--add", help="Another system's trajectory: NAME=FILE.tum, same clock."),
+        typer.Option("--add", help="Another system's trajectory: NAME=FILE.tum, see --align."),
     ] = None,
+    align: Annotated[
+        str,
+        typer.Option(
+            "--align",
+            help="What is done to added trajectories first: none, origin, se2 or time, as evo.",
+        ),
+    ] = "none",
     sweep: Annotated[
         list[str] | None,
         typer.Option(
@@ -79,10 +87,11 @@ def command(
     if cache is not None and cache.resolve() == (out / "cache").resolve():
         cache = None
     added = parse_added(add or [])
+    alignment = parse_alignment(align)
     check_folder(out, KIND, [*runs, *added.values(), cache], CARRIED)
     intervals = [parse_interval(text) for text in exclude or []]
     swept = [parse_sweep(text) for text in sweep or []]
-    routes = open_routes([read_run_set(path) for path in runs], added)
+    routes = open_routes([read_run_set(path) for path in runs], added, alignment=alignment)
     check_folder(out, KIND, _made_from(routes), CARRIED)
     unknown = {i.route for i in intervals if i.route} - {route.name for route in routes}
     if unknown:
@@ -125,6 +134,17 @@ def parse_added(items: Sequence[str]) -> dict[str, Path]:
             raise ConfigError(f"--add {item}: the name '{name}' is taken; choose another")
         added[name] = Path(path)
     return added
+
+
+def parse_alignment(text: str) -> Alignment:
+    """The kind of alignment that `--align` names.
+
+    Raises:
+        ConfigError: none of the known ones.
+    """
+    if text not in ALIGNMENTS:
+        raise ConfigError(f"--align {text}: choose one of {', '.join(ALIGNMENTS)}")
+    return cast(Alignment, text)
 
 
 def screen_table(results: Sequence[RouteResult]) -> str:
