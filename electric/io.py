@@ -136,7 +136,9 @@ def _numbers(column: pd.Series[Any], name: str, path: Path) -> Floats:
         wrong &= column.astype(str).str.lower() != "nan"
     if wrong.any():
         row = int(np.flatnonzero(wrong.to_numpy())[0])
-        raise InputError(f"{path}: row {row + 2}, {name}: {column.iloc[row]!r} is not a number")
+        raise InputError(
+            f"{path}: row {row + 2}, {name}: {repr(column.iloc[row])[:60]} is not a number"
+        )
     values = numbers.to_numpy(dtype=np.float64)
     if np.isinf(values).any():
         row = int(np.flatnonzero(np.isinf(values))[0])

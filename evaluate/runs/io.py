@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -103,10 +104,11 @@ class RunSet:
         if not value:
             return None
         path = Path(str(value))
-        if path.is_absolute() or path.exists():
+        # os.path: a name that no system can have does not exist either
+        if path.is_absolute() or os.path.exists(path):
             return path
         above = (parent / path for parent in self.path.resolve().parents)
-        return next((place for place in above if place.exists()), path)
+        return next((place for place in above if os.path.exists(place)), path)
 
 
 def read_run_set(path: Path) -> RunSet:
