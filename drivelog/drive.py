@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
@@ -250,7 +251,7 @@ def open_drive(path: str | Path, *, seed: int = 0) -> Drive:
     """
     path = Path(path)
     with named(path, InputError, "drive"):
-        if not path.exists():
+        if not os.path.exists(path):
             raise InputError(f"{path}: no such drive")
         for reader in readers():
             if reader.can_read(path):

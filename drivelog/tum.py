@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def read_tum(path: Path) -> Trajectory:
         InputError: the file is missing, has no pose, a line has not eight numbers, or a value is
             not finite, or a quaternion is none of length one.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such trajectory")
     with named(path, InputError, "trajectory"):
         check_size(path, LARGEST_BYTES)

@@ -54,7 +54,7 @@ def parse_car(content: str, place: str) -> Car:
     known = {item.name for item in fields(Car)}
     if unknown := sorted(str(key) for key in tree if key not in known):
         raise VehicleError(
-            f"{place}: unknown key {unknown[0]}; known are {', '.join(sorted(known))}"
+            f"{place}: unknown key {unknown[0][:60]}; known are {', '.join(sorted(known))}"
         )
     try:
         return Car(**tree)

@@ -104,7 +104,7 @@ def attempt(kind: Kind, data: bytes) -> str | None:
     try:
         kind.read()
     except PolemapError as error:
-        return f"message of {len(str(error))} letters" if len(str(error)) > 3000 else None
+        return f"message of {len(str(error))} letters" if len(str(error)) > 20_000 else None
     except Hang:
         return "hang"
     except Exception as error:

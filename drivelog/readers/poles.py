@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.readers.drive_yaml import DetectorPart
 from polemap.drivelog.stamps import in_order
@@ -18,6 +19,7 @@ from polemap.drivelog.tables import Table, read_table
 Floats = NDArray[np.float64]
 
 _COLUMNS = ("stamp_s", "x_m", "y_m", "var_x_m2", "var_y_m2", "cov_xy_m2")
+MOST_A_SCAN = 300
 _FEW = 200  # fewer poles than this do not show the outline of a sensor's view
 
 
@@ -61,11 +63,31 @@ def _count(table: Table, problems: Counter[str]) -> None:
 def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> Table:
     table = read_table(path, _COLUMNS, optional=("width_m", "arrival_s", "probability"))
     table = in_order(table, findings, duplicates="allow")
+    _check_crowd(table)
     var_x, var_y = table["var_x_m2"], table["var_y_m2"]
     positive = (var_x > 0) & (var_y > 0) & (var_x * var_y > table["cov_xy_m2"] ** 2)
     table = table.keep(positive, "covariance_not_positive")
     _count(table, problems)
     return table
+
+
+def _check_crowd(table: Table) -> None:
+    """No scan has more poles than a street has: matching takes the square of their number.
+
+    Raises:
+        InputError: the first scan that has.
+    """
+    stamps = table["stamp_s"]
+    if len(stamps) <= MOST_A_SCAN:
+        return
+    crowded = np.flatnonzero(stamps[MOST_A_SCAN:] == stamps[:-MOST_A_SCAN])
+    if len(crowded):
+        row = int(crowded[0])
+        count = int(np.count_nonzero(stamps == stamps[row]))
+        raise InputError(
+            f"{table.path}, line {table.lines[row]}: {count} poles at stamp_s {stamps[row]:.6f}, "
+            f"a scan may have {MOST_A_SCAN}; keep the surest, or give each scan its own stamp"
+        )
 
 
 def _scans(

@@ -7,6 +7,7 @@ the columns.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import warnings
 from collections.abc import Callable
@@ -36,6 +37,9 @@ from polemap.parsing.text import MEGABYTE, read_bytes
 _LIBRARY_ERRORS = (OSError, RuntimeError, sqlite3.Error)
 
 _SQLITE = b"SQLite format 3\0"
+# side of a square, and the most poles in it: a dense wood has 2000 trunks a hectare
+CROWDS = ((1.0, 200), (100.0, 5000))
+LARGEST_M = 1e9
 LAYER = "poles"
 DOUBTFUL = "doubtful"
 
@@ -106,7 +110,8 @@ def read_map(
         FrameError: the map's frame is not the drive's, and no transformation leads there.
     """
     path = Path(path)
-    if not path.is_file():
+    # os.path, unlike pathlib, says that a name of 300 letters is no file
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such map")
     suffix = path.suffix.lower()
     if suffix not in _READERS:
@@ -119,6 +124,7 @@ def read_map(
         if str(path) in str(error):
             raise
         raise InputError(f"{path}: {error}") from error
+    _check_crowd(pole_map, path)
     if not len(pole_map) and not allow_empty:
         raise InputError(f"{path}: the map holds no poles; build it from a drive that saw some")
     if frame is None or pole_map.frame == frame:
@@ -129,6 +135,32 @@ def read_map(
             "leads from one to the other: use a map built in the drive's own frame"
         )
     return pole_map.to_frame(frame)
+
+
+def _check_crowd(pole_map: PoleMap, path: Path) -> None:
+    """Positions on the earth, and nowhere more poles than matching in pairs can bear.
+
+    Raises:
+        InputError: a position that is none, or a crowd of poles.
+    """
+    points = pole_map.points_m
+    if not len(points):
+        return
+    far = np.flatnonzero(np.abs(points).max(axis=1) > LARGEST_M)
+    if len(far):
+        east, north = points[far[0]]
+        raise InputError(
+            f"{path}: pole {pole_map.ids[far[0]]} stands at {east:.3g}, {north:.3g} m, beyond "
+            f"{LARGEST_M:g} m"
+        )
+    for side_m, most in CROWDS:
+        cells, count = np.unique(np.floor(points / side_m), axis=0, return_counts=True)
+        if count.max() > most:
+            east, north = cells[count.argmax()] * side_m
+            raise InputError(
+                f"{path}: {count.max()} poles within {side_m:g} m of {east:.0f}, {north:.0f} m, a "
+                f"map may have {most} there; remove what stands twice"
+            )
 
 
 def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
