@@ -31,7 +31,8 @@ _GYRO_WHITE_RADPS = 0.005
 _CURVATURE_SD_RADPM, _YAW_RATE_SCALE_SD = 0.0015, 0.03
 # wheel encoders of a standing car show nothing; a stop counts from its second second on
 _STANDSTILL_MPS, _STANDSTILL_S = 0.03, 1.0
-_WALK_PER_S = 1e-7  # share of the prior variances that returns every second: offsets may drift
+_FORGET_S = 3600.0  # offsets drift: what was learned returns to the prior in this time
+_BOUND_SD = 3.0  # of the prior: more is no offset but a fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +130,17 @@ class OdometryCalibration:
         self._raw.append(sample)
         return OdometrySample(sample.stamp_s, sample.arrival_s, speed, yaw_rate)
 
+    def distrust(self) -> None:
+        """Odometry is contradicted: neither a standstill nor a stretch of it teaches anything."""
+        self._still.clear()
+        self._start = None
+
+    def forget(self) -> None:
+        """A restart starts clean: what was learned at a wrong place is wrong."""
+        self._yaw, self._yaw_cov = np.zeros(3), self._yaw_prior.copy()
+        self._scale, self._scale_var = 0.0, self._config.speed_scale_sd**2
+        self.distrust()
+
     def _watch_standstill(self, sample: OdometrySample) -> None:
         """Keep the unbroken run of samples without speed, at most one window long."""
         if abs(sample.speed_mps) > _STANDSTILL_MPS:
@@ -196,8 +208,7 @@ class OdometryCalibration:
 
     def _use(self, start: _Start, end: _Start) -> None:
         stretch = _stretch_between(start, end)
-        self._yaw_cov = self._yaw_cov + self._yaw_prior * _WALK_PER_S * stretch.time_s
-        self._scale_var += self._config.speed_scale_sd**2 * _WALK_PER_S * stretch.time_s
+        self._return_to_prior(stretch.time_s)
         turned = float(wrap_angle(end.pose[2] - start.pose[2]))
         error = float(wrap_angle(turned - stretch.turn_rad))
         row = np.array([-stretch.time_s, stretch.distance_m, stretch.turn_rad])
@@ -211,6 +222,17 @@ class OdometryCalibration:
             # the length of the chord does not depend on the heading
             way = float(np.hypot(*(end.pose[:2] - start.pose[:2])))
             self._update_scale(way, stretch.chord_m, start.variance_m2 + end.variance_m2)
+
+    def _return_to_prior(self, time_s: float) -> None:
+        """Gauss-Markov: bounded by the prior, and able to move back from what was learned."""
+        keep = float(np.exp(-time_s / _FORGET_S))
+        bound = _BOUND_SD * np.sqrt(np.diag(self._yaw_prior))
+        self._yaw = np.clip(keep * self._yaw, -bound, bound)
+        self._yaw_cov = keep**2 * self._yaw_cov + (1.0 - keep**2) * self._yaw_prior
+        prior = self._config.speed_scale_sd**2
+        limit = _BOUND_SD * float(np.sqrt(prior))
+        self._scale = float(np.clip(keep * self._scale, -limit, limit))
+        self._scale_var = keep**2 * self._scale_var + (1.0 - keep**2) * prior
 
     def _update_scale(self, way_m: float, chord_m: float, variance_m2: float) -> None:
         noise = variance_m2 + (0.01 * chord_m) ** 2

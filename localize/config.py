@@ -153,7 +153,11 @@ class HealthConfig(BaseModel):
     model_config = _FROZEN
 
     sd_max_m: float = Field(
-        2.0, gt=0.0, le=100.0, description="Largest major position sd of a healthy pose, m."
+        1.0,
+        gt=0.0,
+        le=100.0,
+        description="Largest major position sd of a healthy pose, m: a pose that may be more than "
+        "3 m off is of no use.",
     )
 
 

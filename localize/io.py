@@ -26,7 +26,8 @@ HEALTH_COLUMNS = (
 )  # fmt: skip
 OUTPUT_COLUMNS = (
     "stamp_s", "speed_mps", "yaw_rate_radps", "var_east_m2", "var_north_m2", "cov_east_north_m2",
-    "var_yaw_rad2", "pose_age_s", "jump_m", "flag",
+    "var_yaw_rad2", "pose_age_s", "jump_m", "flag", "healthy", "distrust", "east_m", "north_m",
+    "yaw_rad",
 )  # fmt: skip
 
 
@@ -105,8 +106,11 @@ def _write_output(path: Path, run: Run) -> None:
     )  # fmt: skip
     with atomic_file(path) as part, part.open("w", encoding="utf-8") as file:
         file.write(",".join(OUTPUT_COLUMNS) + "\n")
-        for row, flag in zip(table.tolist(), run.flags, strict=True):
-            file.write(",".join(map(_number, row)) + f",{flag}\n")
+        for row, flag, reason, pose in zip(
+            table.tolist(), run.flags, run.distrust, run.kf.poses.tolist(), strict=True
+        ):
+            cells = (*row, flag, int(not reason), reason, *pose)
+            file.write(",".join(map(_number, cells)) + "\n")
 
 
 def _number(value: Any) -> str:

@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
-from math import nan
+from math import isfinite, nan
 from threading import Lock
 from typing import Protocol
 
@@ -20,13 +20,16 @@ from polemap.drivelog.samples import GnssFix, OdometrySample, Sample, StereoFram
 from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.clocks import StreamClock
 from polemap.localize.config import LocalizeConfig
+from polemap.localize.contradictions import Held, OdometryWatch
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
+from polemap.localize.output_filter.health import distrust, fixes_disagree
 from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.localize.particle_filter.health import not_offered
 from polemap.localize.stage_times import StageTimes
+from polemap.localize.usable import usable_fix, usable_odometry, usable_poles
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.delay import Placement
 
@@ -102,6 +105,10 @@ class Localizer:
         )
         self._filter = OutputFilter(config.output, receiver, config.odometry.rear_slip_rad_per_mps2)
         self._limiter = OutputLimiter()
+        self._health = config.health
+        self._watch = OdometryWatch()
+        # what the particle filter said last; without one the output stands for itself
+        self._particles_healthy = True
         # what the particle filter has learned
         self._correction = OdometryCorrection()
         self._slip_rad_per_mps2 = config.odometry.rear_slip_rad_per_mps2
@@ -110,7 +117,7 @@ class Localizer:
         self._on_update = on_update
         self._times = StageTimes(clock)
         self._clocks = {name: StreamClock() for name in STREAMS}
-        self._inbox: deque[OdometrySample | GnssFix] = deque(maxlen=20_000)
+        self._inbox: deque[tuple[OdometrySample | GnssFix, Held | None]] = deque(maxlen=20_000)
         self._pending: list[tuple[float, int, PfEstimate, float]] = []
         self._numbers = count()
         # the slow half (perception, particles) and the fast half (output filter) have a lock each
@@ -168,15 +175,21 @@ class Localizer:
         or before the last one asked for, it is the filter's best knowledge of that moment.
         """
         with self._fast, self._times.of("output_tick"):
+            if not isfinite(stamp_s):
+                self.counts["asked_not_finite"] += 1
+                return None
             self._release(stamp_s)
             if not self._filter.started:
                 return None
             state = self._filter.predicted_to(stamp_s)
             if state.stamp_s > stamp_s:
                 return None
-            if stamp_s <= self._limiter.last_stamp_s:
-                return self._limiter.unlimited(state)
-            return self._limiter.limit(state)
+            late = stamp_s <= self._limiter.last_stamp_s
+            answer = self._limiter.unlimited(state) if late else self._limiter.limit(state)
+            reason = distrust(state, stamp_s, answer.covariance, self._health)
+            if not reason and not self._particles_healthy:
+                reason = "particle_filter"
+            return replace(answer, distrust=reason)
 
     def summary(self) -> dict[str, int]:
         """Counts of decisions, and of bad input by stream and kind."""
@@ -197,29 +210,37 @@ class Localizer:
             stamp = self._clocks["odometry"].checked_stamp(sample.stamp_s, sample.arrival_s)
             if stamp is None:
                 return
-            if not np.isfinite((sample.speed_mps, sample.yaw_rate_radps)).all():
+            if not usable_odometry(sample.speed_mps, sample.yaw_rate_radps):
                 self.counts["odometry_not_finite"] += 1
                 return
+            held = self._watch.check(stamp, sample.speed_mps, sample.yaw_rate_radps)
             self._release(sample.arrival_s)
             with self._times.of("output_odometry"):
-                placed = self._filter.add_odometry(stamp, *self._correction.rates(sample))
+                placed = self._filter.add_odometry(
+                    stamp,
+                    *self._correction.rates(sample),
+                    doubted=held is not None,
+                    turn_doubted=held is not None and held.turn_doubted,
+                )
             self._count("odometry", placed)
             if self._particle_filter is not None:
-                self._inbox.append(replace(sample, stamp_s=stamp))
+                self._inbox.append((replace(sample, stamp_s=stamp), held))
 
     def _add_fix(self, fix: GnssFix) -> None:
         with self._fast:
             stamp = self._clocks["gnss"].checked_stamp(fix.stamp_s, fix.arrival_s)
             if stamp is None:
                 return
-            if not np.isfinite((fix.east_m, fix.north_m, fix.hdop)).all():
+            if not usable_fix(fix.east_m, fix.north_m, fix.hdop):
                 self.counts["gnss_not_finite"] += 1
                 return
             self._release(fix.arrival_s)
             placed = self._filter.add_gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
             self._count("gnss", placed)
+            if self._filter.started and fixes_disagree(self._filter.newest, stamp):
+                self._watch.contradict(stamp)
             if self._particle_filter is not None:
-                self._inbox.append(replace(fix, stamp_s=stamp))
+                self._inbox.append((replace(fix, stamp_s=stamp), None))
 
     def _count(self, stream: str, placed: Placement | None) -> None:
         if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
@@ -242,6 +263,7 @@ class Localizer:
 
     def _offer(self, estimate: PfEstimate) -> tuple[str, float, float]:
         """Let the filter's health and then the gate decide; decision, NIS and time spent."""
+        self._particles_healthy = estimate.healthy
         problem = usable_pose(estimate.stamp_s, estimate.pose, estimate.covariance)
         if problem is not None:
             self.counts[f"pose_{problem}"] += 1
@@ -256,6 +278,7 @@ class Localizer:
                 estimate.pose,
                 estimate.covariance,
                 self._slip_rad_per_mps2,
+                held=estimate.health.matched > 0,
             )
         if placed is Placement.TOO_OLD:
             self.counts["late_dropped"] += 1
@@ -285,6 +308,10 @@ class Localizer:
             return None
         with self._fast:
             self._correction, self._slip_rad_per_mps2 = correction, slip_rad_per_mps2
+            if estimate.odometry == "contradicted":
+                self._watch.contradict(estimate.stamp_s)
+            elif estimate.odometry == "confirmed":
+                self._watch.confirm()
             self._hold(estimate, sample.arrival_s, spent_s)
         return estimate
 
@@ -293,9 +320,9 @@ class Localizer:
         with self._fast:
             inbox = list(self._inbox)
             self._inbox.clear()
-        for earlier in inbox:
+        for earlier, held in inbox:
             if isinstance(earlier, OdometrySample):
-                particle_filter.add_odometry(earlier)
+                particle_filter.add_odometry(earlier, held)
                 if self._perception is not None:
                     self._perception.record_odometry(earlier)
             else:
@@ -303,7 +330,9 @@ class Localizer:
 
     def _scan_of(self, sample: Detections | StereoFrame) -> Detections:
         if isinstance(sample, Detections):
-            return sample
+            usable = usable_poles(sample)
+            self.counts["poles_not_usable"] += len(sample) - len(usable)
+            return usable
         if self._perception is None:
             raise InputError("a stereo frame was added, but this localizer has no perception")
         with self._times.of("perception"):

@@ -36,6 +36,7 @@ class Run:
         kf: the output filter at every tick of 1 / rate.
         output: per tick: speed, yaw rate, jump (m), age of the last pose used (s).
         flags: per tick, "" in normal operation.
+        distrust: per tick, why the output may not be trusted, "" where it may.
         counts: how often what happened, see `Localizer.summary`.
         timings_s: seconds of every call by stage; empty without a clock.
         replay_s: seconds of the whole replay; NaN without a clock.
@@ -46,6 +47,7 @@ class Run:
     kf: Trajectory
     output: Floats
     flags: tuple[str, ...]
+    distrust: tuple[str, ...]
     counts: Mapping[str, int]
     timings_s: Mapping[str, Sequence[float]] = field(default_factory=dict)
     replay_s: float = nan
@@ -136,9 +138,9 @@ def replay(
     )
     # poses become known in the order of their arrival, a trajectory is in the order of its stamps
     pf = pf.rows(np.argsort(pf.stamp_s, kind="stable"))
-    kf, output, flags = ticks.result()
+    kf, output, flags, distrust = ticks.result()
     timings = localizer.timings_s if clock else {}
-    return Run(pf, tuple(updates), kf, output, flags, localizer.summary(), timings, spent)
+    return Run(pf, tuple(updates), kf, output, flags, distrust, localizer.summary(), timings, spent)
 
 
 def _samples(drive: Drive, scans: Sequence[Detections]) -> Iterator[_Input]:
@@ -165,6 +167,7 @@ class _Ticks:
         self._rows: list[tuple[float, ...]] = []
         self._covariance: list[Floats] = []
         self._flags: list[str] = []
+        self._distrust: list[str] = []
 
     def up_to(self, arrival_s: float) -> None:
         """Every tick before the arrival of the next sample."""
@@ -205,9 +208,10 @@ class _Ticks:
         )
         self._covariance.append(answer.covariance)
         self._flags.append(answer.flag)
+        self._distrust.append(answer.distrust)
 
-    def result(self) -> tuple[Trajectory, Floats, tuple[str, ...]]:
+    def result(self) -> tuple[Trajectory, Floats, tuple[str, ...], tuple[str, ...]]:
         rows = np.array(self._rows).reshape(-1, 7)
         covariance = np.array(self._covariance).reshape(-1, 3, 3)
         kf = Trajectory(np.array(self._stamps), rows[:, :3], covariance)
-        return kf, rows[:, 3:], tuple(self._flags)
+        return kf, rows[:, 3:], tuple(self._flags), tuple(self._distrust)

@@ -3,14 +3,15 @@
 What runs a hundred to a thousand times a second on a single state is too small for numpy: its calls
 cost more than its sums. The array forms of `pose`, `motion` and `kalman` are the oracle that the
 tests hold all of this to. A pose is the tuple (x, y, yaw); the state of the CTRV filter is that,
-speed and yaw rate, and what is wrong with the odometry: the relative error of its speed and the
-offset of its yaw rate, both wandering slowly. Its covariance is the tuple of the 28 entries of the
-upper triangle, row by row.
+speed and yaw rate, what is wrong with the odometry (the relative error of its speed, the offset of
+its yaw rate) and the error that GNSS fixes share, east and north. The last four are Gauss-Markov:
+they wander within bounds, and return to zero where nothing shows them. The covariance is the tuple
+of the 45 entries of the upper triangle, row by row.
 """
 
 from __future__ import annotations
 
-from math import cos, pi, sin
+from math import cos, exp, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +19,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]
-Mean = tuple[float, float, float, float, float, float, float]
+Mean = tuple[float, float, float, float, float, float, float, float, float]
 Upper = tuple[float, ...]
 
-SIZE = 7
+SIZE = 9
 _ROWS, _COLUMNS = np.triu_indices(SIZE)
 # where entry (i, j) stands in the upper triangle
 INDEX = tuple(
@@ -34,6 +35,13 @@ INDEX = tuple(
 _PAIRS = tuple((int(i), int(j)) for i, j in zip(_ROWS, _COLUMNS, strict=True))
 
 
+class GaussMarkov(NamedTuple):
+    """An error that wanders within bounds: its standard deviation, the time in which it forgets."""
+
+    sd: float = 0.0
+    time_s: float = 1.0
+
+
 class CtrvNoise(NamedTuple):
     """Densities of the process noise; see `motion.ctrv_process_noise`."""
 
@@ -42,8 +50,10 @@ class CtrvNoise(NamedTuple):
     slip_s5pm2: float  # sideways density: this times (speed x lateral acceleration) squared
     along_s: float = 0.0  # density along the path: this times the squared speed
     yaw_rad2ps: float = 0.0  # density of the yaw, while the car moves
-    scale_1ps: float = 0.0  # of the walk of the speed's relative error
-    offset_rad2ps3: float = 0.0  # of the walk of the yaw rate's offset
+    turn_s: float = 0.0  # density of the yaw: this times the squared yaw rate
+    scale: GaussMarkov = GaussMarkov()  # the speed's relative error
+    offset_radps: GaussMarkov = GaussMarkov()  # the yaw rate's offset
+    fix_m: GaussMarkov = GaussMarkov()  # the error that fixes share, in each axis
 
 
 def wrap(angle_rad: float) -> float:
@@ -54,18 +64,18 @@ def wrap(angle_rad: float) -> float:
 
 
 def as_mean(values: Floats) -> Mean:
-    """The state `(7,)` as plain floats, the yaw wrapped."""
-    x, y, yaw, v, w, scale, offset = values.tolist()
-    return (x, y, wrap(yaw), v, w, scale, offset)
+    """The state `(9,)` as plain floats, the yaw wrapped."""
+    x, y, yaw, v, w, scale, offset, fix_e, fix_n = values.tolist()
+    return (x, y, wrap(yaw), v, w, scale, offset, fix_e, fix_n)
 
 
 def pack(covariance: Floats) -> Upper:
-    """Upper triangle of `(7, 7)`."""
+    """Upper triangle of `(9, 9)`."""
     return tuple(covariance[_ROWS, _COLUMNS].tolist())
 
 
 def unpack(upper: Upper) -> Floats:
-    """`(7, 7)` from its upper triangle."""
+    """`(9, 9)` from its upper triangle."""
     full = np.empty((SIZE, SIZE))
     full[_ROWS, _COLUMNS] = upper
     full[_COLUMNS, _ROWS] = upper
@@ -133,7 +143,7 @@ def ctrv_predict(
         slip: the rear axle goes in the direction yaw - slip v w: outward, as its tyres do in a
             bend, rad per m/s^2. Zero is plain CTRV.
     """
-    x, y, yaw, v, w, scale, offset = mean
+    x, y, yaw, v, w, scale, offset, fix_e, fix_n = mean
     half = 0.5 * w * dt_s
     h2 = half * half
     if h2 < 2.5e-3:
@@ -152,10 +162,17 @@ def ctrv_predict(
     d, e = chord * c, dt_s * ratio * s - slip * w * chord * c
     g = 0.5 * dt_s * (length * slope * c - chord * s) + slip * v * chord * s
     f = 0.5 * dt_s * (length * slope * s + chord * c) - slip * v * chord * c
-    p00, p01, p02, p03, p04, p05, p06 = upper[:7]
-    p11, p12, p13, p14, p15, p16 = upper[7:13]
-    p22, p23, p24, p25, p26 = upper[13:18]
-    p33, p34, p35, p36, p44, p45, p46, p55, p56, p66 = upper[18:]
+    p00, p01, p02, p03, p04, p05, p06, p07, p08 = upper[:9]
+    p11, p12, p13, p14, p15, p16, p17, p18 = upper[9:17]
+    p22, p23, p24, p25, p26, p27, p28 = upper[17:24]
+    p33, p34, p35, p36, p37, p38 = upper[24:30]
+    p44, p45, p46, p47, p48, p55, p56, p57, p58 = upper[30:39]
+    p66, p67, p68, p77, p78, p88 = upper[39:]
+    # what is kept of the Gauss-Markov errors
+    i = exp(-dt_s / noise.scale.time_s)
+    j = exp(-dt_s / noise.offset_radps.time_s)
+    k = exp(-dt_s / noise.fix_m.time_s)
+    fix_m2 = (1.0 - k * k) * noise.fix_m.sd * noise.fix_m.sd
     r00 = p00 + a * p02 + b * p03 + g * p04
     r01 = p01 + a * p12 + b * p13 + g * p14
     r02 = p02 + a * p22 + b * p23 + g * p24
@@ -176,6 +193,7 @@ def ctrv_predict(
     quu, quv = qa * dt3 / 3.0 + noise.along_s * v2 * dt_s, qa * dt2 / 2.0
     bend = v2 * w
     qnn = qw * v2 * dt2 * dt3 / 20.0 + noise.slip_s5pm2 * bend * bend * dt_s
+    yaw_rad2ps = noise.yaw_rad2ps * min(v2, 1.0) + noise.turn_s * w * w
     qny, qnw = qw * v * dt2 * dt2 / 8.0, qw * v * dt3 / 6.0
     new = (
         r00 + a * r02 + b * r03 + g * r04 + c * c * quu + s * s * qnn,
@@ -183,31 +201,49 @@ def ctrv_predict(
         r02 + dt_s * r04 - s * qny,
         r03 + c * quv,
         r04 - s * qnw,
-        p05 + a * p25 + b * p35 + g * p45,
-        p06 + a * p26 + b * p36 + g * p46,
+        i * (p05 + a * p25 + b * p35 + g * p45),
+        j * (p06 + a * p26 + b * p36 + g * p46),
+        k * (p07 + a * p27 + b * p37 + g * p47),
+        k * (p08 + a * p28 + b * p38 + g * p48),
         r11 + d * r12 + e * r13 + f * r14 + s * s * quu + c * c * qnn,
         r12 + dt_s * r14 + c * qny,
         r13 + s * quv,
         r14 + c * qnw,
-        p15 + d * p25 + e * p35 + f * p45,
-        p16 + d * p26 + e * p36 + f * p46,
-        r22 + dt_s * r24 + qw * dt3 / 3.0 + noise.yaw_rad2ps * min(v2, 1.0) * dt_s,
+        i * (p15 + d * p25 + e * p35 + f * p45),
+        j * (p16 + d * p26 + e * p36 + f * p46),
+        k * (p17 + d * p27 + e * p37 + f * p47),
+        k * (p18 + d * p28 + e * p38 + f * p48),
+        r22 + dt_s * r24 + qw * dt3 / 3.0 + yaw_rad2ps * dt_s,
         r23,
         r24 + qw * dt2 / 2.0,
-        p25 + dt_s * p45,
-        p26 + dt_s * p46,
+        i * (p25 + dt_s * p45),
+        j * (p26 + dt_s * p46),
+        k * (p27 + dt_s * p47),
+        k * (p28 + dt_s * p48),
         p33 + qa * dt_s,
         p34,
-        p35,
-        p36,
+        i * p35,
+        j * p36,
+        k * p37,
+        k * p38,
         p44 + qw * dt_s,
-        p45,
-        p46,
-        p55 + noise.scale_1ps * dt_s,
-        p56,
-        p66 + noise.offset_rad2ps3 * dt_s,
+        i * p45,
+        j * p46,
+        k * p47,
+        k * p48,
+        i * i * p55 + (1.0 - i * i) * noise.scale.sd * noise.scale.sd,
+        i * j * p56,
+        i * k * p57,
+        i * k * p58,
+        j * j * p66 + (1.0 - j * j) * noise.offset_radps.sd * noise.offset_radps.sd,
+        j * k * p67,
+        j * k * p68,
+        k * k * p77 + fix_m2,
+        k * k * p78,
+        k * k * p88 + fix_m2,
     )
-    return (x + chord * c, y + chord * s, wrap(heading + half), v, w, scale, offset), new
+    ahead = (x + chord * c, y + chord * s, wrap(heading + half), v, w)
+    return (*ahead, i * scale, j * offset, k * fix_e, k * fix_n), new
 
 
 def update_by_two(
@@ -231,7 +267,7 @@ def update_by_two(
     one, two = INDEX[first], INDEX[second]
     p = [h_first * upper[m] + h_second * upper[n] for m, n in zip(one, two, strict=False)]
     s = h_first * p[first] + h_second * p[second] + variance
-    k0, k1, k2, k3, k4, k5, k6 = k = [value / s for value in p]
+    k0, k1, k2, k3, k4, k5, k6, k7, k8 = k = [value / s for value in p]
     # (I - k h') P (I - k h')' + k r k', with P h' = p and s = h p + r
     new = tuple(
         [
@@ -239,7 +275,7 @@ def update_by_two(
             for (i, j), value in zip(_PAIRS, upper, strict=False)
         ]
     )
-    x, y, yaw, v, w, scale, offset = mean
+    x, y, yaw, v, w, scale, offset, fix_e, fix_n = mean
     return (
         x + k0 * residual,
         y + k1 * residual,
@@ -248,4 +284,6 @@ def update_by_two(
         w + k4 * residual,
         scale + k5 * residual,
         offset + k6 * residual,
+        fix_e + k7 * residual,
+        fix_n + k8 * residual,
     ), new

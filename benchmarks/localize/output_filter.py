@@ -92,10 +92,10 @@ def matched(seeds: int = 50) -> dict[str, dict[str, float]]:
     noise = NoiseModel(
         pose_floor_m=0.0, pose_floor_rad=0.0, acceleration_mps2=1.0,
         yaw_acceleration_radps2=0.1, slip_rad_per_mps2=0.0, speed_error_share=0.0,
-        yaw_rate_error_radps=0.0, speed_scale_sd=0.01, speed_scale_walk=0.0,
-        yaw_rate_offset_sd_radps=0.001, yaw_rate_offset_walk_radps=0.0,
+        yaw_rate_error_radps=0.0, turn_error_share=0.0,
+        speed_scale_sd=0.01, yaw_rate_offset_sd_radps=0.001, odometry_drift_s=1e6,
     )  # fmt: skip
-    densities = noise.densities[:2]
+    densities = noise.densities(2.5, 60.0)[:2]
     rows: dict[str, list[float]] = {"ctrv": [], "city": []}
     for seed in range(seeds):
         for name, motion in (

@@ -1,4 +1,8 @@
-"""GNSS into the output filter: evidence for or against it, and a bound while poses fail."""
+"""GNSS into the output filter: evidence for or against it, and a bound while poses fail.
+
+The receiver's error is part of the state: while poles hold the pose it is learned, and where they
+end it is what keeps fixes from being averaged as if each were news.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +18,12 @@ from polemap.vehicle.packed import SIZE, as_mean, pack, unpack
 from polemap.vehicle.pose import reference_point_jacobian
 
 _FOREVER = inf
-# time without an accepted pose after which fixes bound the filter: dead reckoning has then lost
-# about as much as poles would have known better
-_AFTER_S = 5.0
+# of a fix's standard deviation, what is its own; the rest wanders with the receiver's error
+_OWN_SHARE = 0.2
+# row of the state that holds the error that fixes share, see `vehicle.packed`
+_FIX = 7
+# how long all fixes must fail until their shared error is taken for another one
+_RENEWED_AFTER_S = 2.0
 
 
 def update_by_gnss(
@@ -33,29 +40,38 @@ def update_by_gnss(
         limit: of the gate, on the squared distance of the position.
         gated: False takes every fix in.
     """
-    interval = min(max(state.stamp_s - state.last_gnss_s, 0.05), 10.0)
     state = state._replace(last_gnss_s=state.stamp_s)
     if state.rival is not None:
         state = state._replace(rival=weigh_by_gnss(state, state.rival, event, receiver))
-    if state.stamp_s - state.last_pose_s < _AFTER_S:
-        return state._replace(gnss_rejected_since_s=_FOREVER)
     x, y, yaw = state.mean[:3]
-    residual = np.array(receiver.residual((x, y, yaw), event.east_m, event.north_m))
+    ratio = event.sd_m / receiver.config.sd_m
+    off = np.array(receiver.residual((x, y, yaw), event.east_m, event.north_m))
+    # fixes share an error that wanders slowly, and each has a smaller one of its own
     jacobian = np.zeros((2, SIZE))
     jacobian[:, :3] = reference_point_jacobian(yaw, *receiver.antenna_m)[:2]
-    covariance, alone = unpack(state.upper), np.eye(2) * event.sd_m**2
-    counts = state.counts
-    if gated and innovate(residual, covariance, jacobian, alone).nis > limit:
+    jacobian[0, _FIX] = jacobian[1, _FIX + 1] = ratio
+    noise = np.eye(2) * (_OWN_SHARE * event.sd_m) ** 2
+    covariance, counts = unpack(state.upper), state.counts
+    mean = np.array(state.mean)
+    innovation = innovate(off - ratio * mean[_FIX:], covariance, jacobian, noise)
+    since = min(state.gnss_rejected_since_s, state.stamp_s)
+    if gated and innovation.nis > limit and state.stamp_s - since >= _RENEWED_AFTER_S:
+        # has the error of the fixes changed? Other satellites have another one
+        mean[_FIX:] = 0.0
+        covariance[_FIX:, :] = covariance[:, _FIX:] = 0.0
+        covariance[_FIX:, _FIX:] = np.eye(2) * receiver.config.sd_m**2
+        innovation = innovate(off, covariance, jacobian, noise)
+        renewed = innovation.nis <= limit
+        counts = counts._replace(gnss_renewals=counts.gnss_renewals + renewed)
+    if gated and innovation.nis > limit:
         counts = counts._replace(gnss_rejections=counts.gnss_rejections + 1)
-        since = min(state.gnss_rejected_since_s, state.stamp_s)
-        return state._replace(counts=counts, gnss_rejected_since_s=since)
-    # fixes that share their error must not be averaged as if they did not
-    noise = alone * (1.0 + 2.0 * receiver.config.correlation_s / interval)
-    innovation = innovate(residual, covariance, jacobian, noise)
-    mean, updated = joseph_update(np.array(state.mean), covariance, innovation, jacobian, noise)
+        rejected = state.gnss_rejected + 1
+        return state._replace(counts=counts, gnss_rejected=rejected, gnss_rejected_since_s=since)
+    mean, updated = joseph_update(mean, covariance, innovation, jacobian, noise)
     return state._replace(
         mean=as_mean(mean),
         upper=pack(updated),
         counts=counts._replace(gnss_accepted=counts.gnss_accepted + 1),
+        gnss_rejected=0,
         gnss_rejected_since_s=_FOREVER,
     )

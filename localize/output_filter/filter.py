@@ -20,7 +20,7 @@ from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.noise_model import NoiseModel
 from polemap.localize.output_filter.odometry_update import update_by_odometry
 from polemap.localize.output_filter.pose_update import update_by_pose
-from polemap.localize.output_filter.rejection import reset_pose
+from polemap.localize.output_filter.rejection import reset_odometry, reset_pose, reset_pose_by_fixes
 from polemap.localize.output_filter.state import (
     NEVER,
     Event,
@@ -73,7 +73,8 @@ class OutputFilter:
     ) -> None:
         self._config = config
         self._receiver = receiver
-        self._model, self._noise = noise, noise.densities
+        self._model = noise
+        self._noise = noise.densities(receiver.config.sd_m, receiver.config.correlation_s)
         self._slip = slip_rad_per_mps2
         self._pose_limit = chi_square_gate(config.pose_gate, 3)
         self._odometry_limit = chi_square_gate(_ODOMETRY_GATE, 2)
@@ -87,10 +88,16 @@ class OutputFilter:
     # what comes in
 
     def add_odometry(
-        self, stamp_s: float, speed_mps: float, yaw_rate_radps: float
+        self,
+        stamp_s: float,
+        speed_mps: float,
+        yaw_rate_radps: float,
+        *,
+        doubted: bool = False,
+        turn_doubted: bool = False,
     ) -> Placement | None:
-        """Take odometry in; None while the filter has not started."""
-        event = OdometryEvent(speed_mps, yaw_rate_radps)
+        """Take odometry in, in doubt or not; None while the filter has not started."""
+        event = OdometryEvent(speed_mps, yaw_rate_radps, doubted, turn_doubted)
         self._start.add_odometry(stamp_s, speed_mps, yaw_rate_radps)
         if self._buffer.started:
             return self._buffer.insert(stamp_s, event, kind=_ODOMETRY)
@@ -105,11 +112,13 @@ class OutputFilter:
         pose: Floats,
         covariance: Floats,
         slip_rad_per_mps2: float | None = None,
+        *,
+        held: bool = True,
     ) -> Placement:
         """Take a healthy pose `(3,)` of the rear axle with its covariance `(3, 3)` in.
 
         The first one starts the filter, or takes over from a start by GNSS. The caller has made
-        sure with `usable_pose` that it can be used.
+        sure with `usable_pose` that it can be used, and says whether its scan found mapped poles.
         """
         r = covariance
         a, b, c = float(r[0, 0]), float(r[0, 1]), float(r[0, 2])
@@ -119,6 +128,7 @@ class OutputFilter:
             (float(pose[0]), float(pose[1]), wrap(float(pose[2]))),
             (a + floor_m2, b, c, d + floor_m2, e, f + floor_rad2),
             self._slip if slip_rad_per_mps2 is None else slip_rad_per_mps2,
+            held,
         )
         if self._buffer.started:
             return self._buffer.insert(stamp_s, event, kind=_POSE)
@@ -136,7 +146,8 @@ class OutputFilter:
         found = self._start.add_fix(stamp_s, east_m, north_m, sd)
         if self._buffer.started:
             placed = self._buffer.insert(stamp_s, GnssEvent(east_m, north_m, sd), kind=_GNSS)
-            lasted = stamp_s - self._buffer.state.gnss_rejected_since_s
+            state = self._buffer.state
+            lasted = stamp_s - max(state.gnss_rejected_since_s, state.last_pose_s)
             if found is not None and lasted >= _GNSS_RESTART_AFTER_S:
                 self._buffer.insert(stamp_s, RestartEvent(*found), kind=_RESTART)
             return placed
@@ -199,21 +210,26 @@ class OutputFilter:
                 state, event, self._receiver, self._gnss_limit, gated=self._config.gate
             )
         counts = state.counts._replace(gnss_restarts=state.counts.gnss_restarts + 1)
-        return reset_pose(state, event.pose, event.upper)._replace(counts=counts, last_pose_s=NEVER)
+        return reset_pose_by_fixes(reset_odometry(state), event.pose, event.upper)._replace(
+            counts=counts
+        )
 
     def _begin(self, stamp_s: float, pose: Pose, upper: PoseUpper, *, by_pose: bool) -> None:
         known = self._recent[-1][1] if self._recent else None
-        speed, rate = known if known else (0.0, 0.0)
+        speed, rate = known[:2] if known else (0.0, 0.0)
         spread = [1.0, 0.1] if known else [100.0, 1.0]
-        wrong = [self._model.speed_scale_sd**2, self._model.yaw_rate_offset_sd_radps**2]
+        wrong = (self._model.speed_scale_sd**2, self._model.yaw_rate_offset_sd_radps**2)
+        fix = 2 * [self._receiver.config.sd_m**2]
         state = FilterState(
             stamp_s,
-            (0.0, 0.0, 0.0, speed, rate, 0.0, 0.0),
-            pack(np.diag([1.0, 1.0, 1.0, *spread, *wrong])),
+            (0.0, 0.0, 0.0, speed, rate, 0.0, 0.0, 0.0, 0.0),
+            pack(np.diag([1.0, 1.0, 1.0, *spread, *wrong, *fix])),
             slip_rad_per_mps2=self._slip,
+            odometry_s=self._recent[-1][0] if self._recent else NEVER,
+            odometry_prior=wrong,
         )
-        state = reset_pose(state, pose, upper)._replace(decision="started")
-        self._buffer.reset(state if by_pose else state._replace(last_pose_s=NEVER), stamp_s)
+        state = (reset_pose if by_pose else reset_pose_by_fixes)(state, pose, upper)
+        self._buffer.reset(state._replace(decision="started"), stamp_s)
         for stamp, event in self._recent:
             if stamp > stamp_s:
                 self._buffer.insert(stamp, event, kind=_ODOMETRY)

@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 
 CORRECTION_MPS, CORRECTION_RADPS = 1.5, 0.4
 """Fastest corrections: 15 mm and 0.23 degrees a tick of 100 Hz."""
+RECOVERED_M = 1.0
+"""What is outstanding beyond this is no correction: the output was lost, and says it is back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +31,11 @@ class OutputPose:
     Attributes:
         pose: east, north, yaw of the rear axle.
         covariance: `(3, 3)`.
-        flag: "" in normal operation, "started" or "reinitialized" where the pose may have jumped.
+        flag: "" in normal operation; "started", "reinitialized" or "recovered" where the pose may
+            have jumped.
         jump_m: how far the position was moved at the flag.
         pose_age_s: time since the last pole-based pose that was taken in, infinite before any.
+        distrust: why the pose may not be trusted, "" where it may; see `health.distrust`.
     """
 
     stamp_s: float
@@ -42,6 +46,12 @@ class OutputPose:
     flag: str
     jump_m: float
     pose_age_s: float
+    distrust: str = ""
+
+    @property
+    def healthy(self) -> bool:
+        """Whether the pose may be trusted within three times its stated deviation."""
+        return not self.distrust
 
 
 class OutputLimiter:
@@ -70,6 +80,10 @@ class OutputLimiter:
             jump = hypot(x - moved[0], y - moved[1])
         else:
             pose = self._approach(state)
+            if hypot(x - pose[0], y - pose[1]) > RECOVERED_M:
+                moved = self._carried(state)
+                pose, flag = (x, y, yaw), "recovered"
+                jump = hypot(x - moved[0], y - moved[1])
         self._jumps = jumps
         self._last = (state.stamp_s, pose)
         return self._answer(state, pose, flag, jump)

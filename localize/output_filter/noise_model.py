@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from polemap.vehicle.packed import CtrvNoise
+from polemap.vehicle.packed import CtrvNoise, GaussMarkov
+
+# a correlation time of zero is white noise: shorter than any interval between fixes
+_LEAST_TIME_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +26,11 @@ class NoiseModel:
         yaw_acceleration_radps2, yaw_acceleration_time_s: of its turn.
         slip_rad_per_mps2, slip_time_s: side-slip of the rear axle, which CTRV lacks.
         speed_error_share, yaw_rate_error_radps, odometry_error_time_s: errors that last.
-        speed_scale_sd, speed_scale_walk: relative error of the speed, estimated; wander in 1 s.
-        yaw_rate_offset_sd_radps, yaw_rate_offset_walk_radps: the same of the yaw rate's offset.
+        turn_error_share, turn_error_time_s: the same of the yaw rate, in proportion to it.
+        speed_scale_sd, yaw_rate_offset_sd_radps: relative error of the speed and offset of the
+            yaw rate, estimated; they wander within these, so that no row of bad fixes can lead
+            them away.
+        odometry_drift_s: time in which both forget.
         pose_floor_m, pose_floor_rad: added to each pose's own standard deviations.
     """
 
@@ -35,24 +41,30 @@ class NoiseModel:
     slip_rad_per_mps2: float = 0.004
     slip_time_s: float = 0.5
     speed_error_share: float = 0.015
-    yaw_rate_error_radps: float = 0.004
+    yaw_rate_error_radps: float = 0.003
     odometry_error_time_s: float = 0.5
+    turn_error_share: float = 0.01
+    turn_error_time_s: float = 2.0
     speed_scale_sd: float = 0.03
-    speed_scale_walk: float = 0.001
     yaw_rate_offset_sd_radps: float = 0.005
-    yaw_rate_offset_walk_radps: float = 0.0003
+    odometry_drift_s: float = 3600.0
     pose_floor_m: float = 0.03
     pose_floor_rad: float = 0.003
 
-    @property
-    def densities(self) -> CtrvNoise:
-        """Densities of the process noise."""
+    def densities(self, fix_sd_m: float, fix_time_s: float) -> CtrvNoise:
+        """Densities of the process noise.
+
+        Args:
+            fix_sd_m, fix_time_s: of the error that fixes share.
+        """
         return CtrvNoise(
             2.0 * self.acceleration_mps2**2 * self.acceleration_time_s,
             2.0 * self.yaw_acceleration_radps2**2 * self.yaw_acceleration_time_s,
             2.0 * self.slip_rad_per_mps2**2 * self.slip_time_s,
             2.0 * self.speed_error_share**2 * self.odometry_error_time_s,
             2.0 * self.yaw_rate_error_radps**2 * self.odometry_error_time_s,
-            self.speed_scale_walk**2,
-            self.yaw_rate_offset_walk_radps**2,
+            2.0 * self.turn_error_share**2 * self.turn_error_time_s,
+            GaussMarkov(self.speed_scale_sd, self.odometry_drift_s),
+            GaussMarkov(self.yaw_rate_offset_sd_radps, self.odometry_drift_s),
+            GaussMarkov(fix_sd_m, max(fix_time_s, _LEAST_TIME_S)),
         )

@@ -14,6 +14,11 @@ _SPEED, _RATE, _SCALE, _OFFSET = 3, 4, 5, 6
 _MOVING_RATE = (_RATE, 1.0, _OFFSET, 1.0)
 # slower than this the car stands: wheel encoders of cars show nothing below a few cm/s
 _STANDSTILL_MPS = 0.02
+# ... and stands for so long before it counts: a wheel that locks does not stay locked, or the poles
+# have contradicted it by then; a standing car's yaw rate shows this much beside its offset
+_STANDSTILL_S, _STILL_TURN_RADPS = 0.5, 0.005
+# noise of a yaw rate whose speed is in doubt: it may come from the same wheels
+_DOUBTED_RADPS, _DOUBTED_SHARE = 0.02, 0.3
 REJECTIONS_MAX = 10
 """Samples in a row that may fail the gate; then odometry is believed. A fifth of a second at 50 Hz:
 longer than a slipping wheel at a kerb, shorter than the poses are kept waiting."""
@@ -35,9 +40,13 @@ def update_by_odometry(
     Args:
         limit: of the gate, on the squared distance of speed and yaw rate.
     """
-    speed, rate = event
+    speed, rate, doubted, turn_doubted = event
     counts, rejected = state.counts, 0
-    standing = abs(speed) <= _STANDSTILL_MPS
+    still_since_s = float("inf")
+    if abs(speed) <= _STANDSTILL_MPS and not doubted:
+        still_since_s = min(state.still_since_s, stamp_s)
+    # a standstill takes several signals and some time: no speed, no turn, and no contradiction
+    standing = stamp_s - still_since_s >= _STANDSTILL_S and _offset_explains(mean, upper, rate)
     if standing:
         speed = 0.0
         row_v, row_w = (_SPEED, 1.0, _SCALE, 0.0), (_RATE, 1.0, _OFFSET, 0.0)
@@ -49,7 +58,14 @@ def update_by_odometry(
         rw = config.yaw_rate_sd_radps**2
         expected_v, expected_w, seen_w = mean[3] * (1.0 + mean[5]), mean[4] + mean[6], rate
     dv, dw = speed - expected_v, seen_w - expected_w
-    if config.gate and _pair_nis(upper, row_v, row_w, rv, rw, dv, dw) > limit:
+    if doubted:
+        # the speed counts for nothing, it goes on as a car's does; the turn may still be of use
+        rejected = 1
+        counts = counts._replace(odometry_doubted=counts.odometry_doubted + 1)
+        if not turn_doubted:
+            rw = (_DOUBTED_RADPS + _DOUBTED_SHARE * abs(rate)) ** 2
+            mean, upper = update_by_two(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], rw)
+    elif config.gate and _pair_nis(upper, row_v, row_w, rv, rw, dv, dw) > limit:
         rejected = state.odometry_rejected + 1
         counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)
         if rejected > REJECTIONS_MAX:
@@ -75,12 +91,24 @@ def update_by_odometry(
         state.rival,
         state.last_pose_s,
         state.last_gnss_s,
-        rejected,
+        0 if doubted else rejected,
         state.gnss_rejected_since_s,
+        state.gnss_rejected,
         state.decision,
         state.nis,
         state.slip_rad_per_mps2,
+        state.held_s,
+        stamp_s,
+        doubted,
+        still_since_s,
+        state.odometry_prior,
     )
+
+
+def _offset_explains(mean: Mean, upper: Upper, rate: float) -> bool:
+    """Whether the yaw rate is no more than its offset, to four standard deviations."""
+    variance = upper[INDEX[_OFFSET][_OFFSET]] + _STILL_TURN_RADPS**2
+    return (rate - mean[_OFFSET]) ** 2 <= 16.0 * variance
 
 
 def _pair_nis(

@@ -26,6 +26,8 @@ _LEAST = 1e-6
 _POSE_ROWS = np.eye(3, SIZE)
 # time in which the output follows shared poses at least: seven poses at 22 Hz
 _FOLLOW_S = 0.3
+# spread beyond which the sine of a heading error is not its angle to a few per cent
+_LOST_M, _LOST_RAD = 10.0, 0.5
 
 
 def update_by_pose(
@@ -40,13 +42,15 @@ def update_by_pose(
     noise, covariance = _square(event.upper), unpack(state.upper)
     residual = angle_residual(np.array(event.pose), np.array(state.mean[:3]), angle_rows=(2,))
     innovation = innovate(residual, covariance, _POSE_ROWS, noise)
-    if config.gate and innovation.nis > limit:
+    lost = _lost(covariance)
+    if config.gate and innovation.nis > limit and not lost:
         return reject(state, event, innovation.nis, limit, config)
-    if state.last_pose_s == NEVER:
-        # GNSS has started the filter, poles know better: the first pose that fits takes over
+    if state.last_pose_s == NEVER or lost:
+        # GNSS has started the filter, or it is lost: poles know better, and the first that fits,
+        # or any where the filter is no longer a linear one, takes over
         counts = counts._replace(takeovers=counts.takeovers + 1)
         return reset_pose(state, event.pose, event.upper)._replace(
-            counts=counts, decision="started", nis=nan
+            counts=counts, decision="started", nis=nan, held_s=state.stamp_s
         )
     weight, shared = noise, config.pose_errors == "shared"
     if shared:
@@ -63,9 +67,16 @@ def update_by_pose(
         counts=counts._replace(poses_accepted=counts.poses_accepted + 1),
         rival=None,
         last_pose_s=state.stamp_s,
+        held_s=state.stamp_s if event.held else state.held_s,
         decision="accepted",
         nis=innovation.nis,
     )
+
+
+def _lost(covariance: Floats) -> bool:
+    """Whether the filter knows so little that its linear gate means nothing."""
+    position_m2 = covariance[0, 0] + covariance[1, 1]
+    return bool(position_m2 > _LOST_M**2 or covariance[2, 2] > _LOST_RAD**2)
 
 
 def decorrelated_noise(known: Floats, offered: Floats, least_gain: float) -> Floats:

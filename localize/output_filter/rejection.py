@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.state import (
+    NEVER,
     FilterState,
     GnssEvent,
     PoseEvent,
@@ -35,6 +36,11 @@ INFLATE_AFTER_S = 0.5
 _INFLATE_FACTOR, _INFLATE_MAX_M, _INFLATE_MAX_RAD = 1.3, 0.5, 0.015
 # mean log-likelihood by which GNSS must speak for the filter to veto a re-initialization: e to one
 _GNSS_VETO = 1.0
+# rows of the state, see `vehicle.packed`
+_SCALE, _FIX = 5, 7
+# of the error of a place that fixes show, what later fixes repeat; less than 1 keeps the covariance
+# positive definite
+_SHARED = 0.9
 # what dead reckoning may be off by since the first rejected pose
 _DRIFT_M, _DRIFT_SHARE, _DRIFT_RAD = 0.1, 0.02, 0.02
 
@@ -66,7 +72,7 @@ def reject(
         counts = counts._replace(gnss_vetoes=counts.gnss_vetoes + 1)
         return state._replace(counts=counts, decision="vetoed")
     counts = counts._replace(reinitializations=counts.reinitializations + 1)
-    return reset_pose(state, event.pose, event.upper)._replace(
+    return reset_pose(reset_odometry(state), event.pose, event.upper)._replace(
         counts=counts, decision="reinitialized"
     )
 
@@ -93,14 +99,35 @@ def _carried(rival: Rival, here: Pose) -> Pose:
 def reset_pose(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:
     """The state put at a pose; speed and yaw rate stay, their ties to the old pose go."""
     a, b, c, d, e, f = upper
-    none = (0.0, 0.0, 0.0, 0.0)
+    none = (0.0,) * (SIZE - 3)
     return state._replace(
         mean=(*pose, *state.mean[3:]),
-        upper=(a, b, c, *none, d, e, *none, f, *none, *state.upper[18:]),
+        upper=(a, b, c, *none, d, e, *none, f, *none, *state.upper[INDEX[3][3] :]),
         rival=None,
         gnss_rejected_since_s=float("inf"),
+        gnss_rejected=0,
         last_pose_s=state.stamp_s,
     )
+
+
+def reset_pose_by_fixes(state: FilterState, pose: Pose, upper: PoseUpper) -> FilterState:
+    """The state put at a pose that fixes show: it is off by what they share, estimated as zero."""
+    fix_m2 = state.upper[INDEX[_FIX][_FIX]]
+    state = reset_pose(state, pose, upper)
+    values = list(state.upper)
+    for axis in (0, 1):
+        values[INDEX[axis][_FIX + axis]] = -_SHARED * min(values[INDEX[axis][axis]], fix_m2)
+    return state._replace(upper=tuple(values), last_pose_s=NEVER)
+
+
+def reset_odometry(state: FilterState) -> FilterState:
+    """The state without what it has learned of the odometry: a restart starts clean."""
+    covariance = unpack(state.upper)
+    covariance[_SCALE:_FIX, :] = covariance[:, _SCALE:_FIX] = 0.0
+    covariance[_SCALE:_FIX, _SCALE:_FIX] = np.diag(state.odometry_prior)
+    x, y, yaw, v, w, _, _, fix_e, fix_n = state.mean
+    mean = (x, y, yaw, v, w, 0.0, 0.0, fix_e, fix_n)
+    return state._replace(mean=mean, upper=pack(covariance))
 
 
 def weigh_by_gnss(

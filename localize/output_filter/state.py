@@ -11,17 +11,23 @@ PoseUpper = tuple[float, float, float, float, float, float]
 
 
 class OdometryEvent(NamedTuple):
+    """Speed and yaw rate; what contradicts what came before it, the poles or the fixes is
+    doubted, and its turn too where that is not sure either."""
+
     speed_mps: float
     yaw_rate_radps: float
+    doubted: bool = False
+    turn_doubted: bool = False
 
 
 class PoseEvent(NamedTuple):
-    """A pose of the particle filter that was offered, with its covariance `(3, 3)` packed, and
-    what it holds the slip of the rear axle for."""
+    """A pose of the particle filter that was offered, with its covariance `(3, 3)` packed, what it
+    holds the slip of the rear axle for, and whether its scan found poles of the map."""
 
     pose: Pose
     upper: PoseUpper
     slip_rad_per_mps2: float = 0.0
+    held: bool = True
 
 
 class GnssEvent(NamedTuple):
@@ -56,9 +62,11 @@ class Counts(NamedTuple):
     takeovers: int = 0
     gnss_vetoes: int = 0
     odometry_rejections: int = 0
+    odometry_doubted: int = 0
     gnss_accepted: int = 0
     gnss_rejections: int = 0
     gnss_restarts: int = 0
+    gnss_renewals: int = 0
 
 
 class Rival(NamedTuple):
@@ -81,13 +89,19 @@ class FilterState(NamedTuple):
 
     Attributes:
         mean: east, north, yaw, speed, yaw rate of the rear axle; relative error of the odometry's
-            speed, offset of its yaw rate.
+            speed, offset of its yaw rate; error that fixes share, east and north.
         upper: upper triangle of the covariance.
         odometry_rejected: samples in a row.
+        gnss_rejected: fixes in a row that have failed.
         gnss_rejected_since_s: since when all fixes have failed, infinite if they do not.
         decision: what became of the last pose.
         nis: its squared Mahalanobis distance.
         slip_rad_per_mps2: outward slip of the rear axle per lateral acceleration.
+        held_s: stamp of the last accepted pose whose scan found poles of the map.
+        odometry_s: stamp of the last odometry, in doubt or not.
+        doubted: whether that was in doubt.
+        still_since_s: since when all odometry says that the car stands, infinite if it does not.
+        odometry_prior: variances of the odometry's errors before anything is learned of them.
     """
 
     stamp_s: float
@@ -99,6 +113,12 @@ class FilterState(NamedTuple):
     last_gnss_s: float = NEVER
     odometry_rejected: int = 0
     gnss_rejected_since_s: float = float("inf")
+    gnss_rejected: int = 0
     decision: str = ""
     nis: float = float("nan")
     slip_rad_per_mps2: float = 0.0
+    held_s: float = NEVER
+    odometry_s: float = NEVER
+    doubted: bool = False
+    still_since_s: float = float("inf")
+    odometry_prior: tuple[float, float] = (0.0, 0.0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
+Opinion = Literal["contradicted", "confirmed"]
 Event = Literal["initialized", "reinitialized", "explored"]
 
 # poses within these of each other are one hypothesis: closer than two poles of a street stand; one
@@ -71,10 +72,13 @@ class PfEstimate:
         stamp_s, arrival_s: of the scan.
         pose: `(3,)` east, north, yaw of the rear axle in the map's frame.
         covariance: `(3, 3)`.
-        healthy: whether the pose may be used: one mode, narrow, and poles that fit or are absent.
+        healthy: whether the pose may be trusted within three times its stated deviation: one mode,
+            narrow, poles that fit or are absent, and an odometry that nothing contradicts.
         modes: clusters of particles; above 1 the pose is one of several possible ones.
         health: the row of health.csv.
         event: "initialized", "reinitialized", "explored" or None.
+        usable: whether poles hold the pose, even if odometry is silent or in doubt.
+        odometry: what the poles say of the odometry, None where they do not know.
     """
 
     stamp_s: float
@@ -85,6 +89,8 @@ class PfEstimate:
     modes: int
     health: HealthRecord
     event: Event | None
+    usable: bool = True
+    odometry: Opinion | None = None
 
 
 def mean_and_covariance(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:

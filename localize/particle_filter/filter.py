@@ -11,6 +11,7 @@ from polemap.drivelog.detections import Detections, LandmarkKind
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.calibration import OdometryCalibration, OdometryCorrection
 from polemap.localize.config import LocalizeConfig
+from polemap.localize.contradictions import Held
 from polemap.localize.gnss.particle_weights import FixWeights
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.odometry_history import OdometryHistory
@@ -26,6 +27,7 @@ from polemap.localize.particle_filter.exploration import normalized_quality
 from polemap.localize.particle_filter.health import PROVEN_SD_M
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.motion_noise import NoiseScale
+from polemap.localize.particle_filter.odometry_trust import OdometryTrust
 from polemap.localize.particle_filter.particles import ParticleSet, effective_count, log_mean
 from polemap.localize.particle_filter.recovery import Recovery, Step
 from polemap.localize.particle_filter.sensor_model import (
@@ -87,6 +89,7 @@ class ParticleFilter:
         self._scan_evidence = 0.0
         self._used_share = 0.0
         self._trusted = False
+        self._odometry = OdometryTrust()
 
     @property
     def initialized(self) -> bool:
@@ -111,8 +114,16 @@ class ParticleFilter:
             return np.empty((0, 3)), np.empty(0)
         return self._particles.poses.copy(), self._particles.weights
 
-    def add_odometry(self, odometry: OdometrySample) -> None:
-        """Take in odometry; samples that are not finite or not newer are counted and dropped."""
+    def add_odometry(self, odometry: OdometrySample, held: Held | None = None) -> None:
+        """Take in odometry; samples that are not finite or not newer are counted and dropped.
+
+        Args:
+            odometry: the sample.
+            held: the rates that were believed last, where it is in doubt.
+        """
+        if held is not None:
+            self._calibration.distrust()
+        odometry = self._odometry.believed(odometry, held)
         corrected = self._calibration.correct(odometry)
         if not self._history.append(corrected):
             self.counts["odometry_dropped"] += 1
@@ -152,6 +163,12 @@ class ParticleFilter:
         event: Event | None = None
         if self.initialized:
             arcs = self._history.arcs(self._stamp_s, stamp, _ARC_S)
+            before, after = (
+                Held(s, *self._history.rates_at(s), turn_doubted=True)
+                for s in (self._stamp_s, stamp)
+            )
+            if self._odometry.release(self._particles, arcs, before, after):
+                self._recovery.search.forget_poles()
             self._particles.move_along(
                 arcs, self._noise.factors if self._recovery.proof.proven else np.ones(3)
             )
@@ -174,6 +191,10 @@ class ParticleFilter:
         self._weigh_scan(scan, share)
         if event is None:
             event = self._recovery.recover(particles, scan, odometry_pose, self._scan_evidence)
+            if event == "reinitialized":
+                # a restart starts clean: what was learned at a wrong place is wrong
+                self._calibration.forget()
+                self._noise.reset()
         estimate = self._estimate(scan, event, step)
         particles.resample_by_weight(estimate.health.n_eff)
         # what the poles correct teaches something only where the pose is sure
@@ -195,7 +216,9 @@ class ParticleFilter:
             _MIN_EFFECTIVE_SHARE * len(particles),
         )
         weighed = mean_and_covariance(rear, particles.weights)
-        self._noise.add_correction(expected, weighed, self._used_share, self._trusted)
+        steady = self._trusted and not self._odometry.doubted
+        self._noise.add_correction(expected, weighed, self._used_share, steady)
+        self._odometry.add_correction(scan.stamp_s, expected, weighed, trusted=self._trusted)
         self._scan_evidence = log_mean(result.log_likelihood, before)
         self._recovery.averages.add_quality(
             scan.stamp_s, normalized_quality(result, before, len(scan))
@@ -225,8 +248,13 @@ class ParticleFilter:
         else:
             narrow = len(modes) == 1 and major <= PROVEN_SD_M
             self._recovery.prove(scan, fit, pose, step, narrow=narrow)
+        possible = max(min(float(len(scan)), fit.expected), float(fit.matched))
+        unmatched = self._recovery.unmatched.contradict(scan.stamp_s, fit.matched, possible)
+        opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
         settled = self._recovery.proof.proven and len(modes) == 1
-        healthy = settled and major <= config.health.sd_max_m and self._recovery.lost.fits
+        narrow = major <= config.health.sd_max_m
+        usable = settled and narrow and self._recovery.lost.fits and not unmatched
+        healthy = usable and not self._odometry.doubted and opinion != "contradicted"
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,
@@ -246,5 +274,6 @@ class ParticleFilter:
             speed_scale=self.correction.speed_scale,
         )
         return PfEstimate(
-            scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event
-        )
+            scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event,
+            usable, opinion,
+        )  # fmt: skip

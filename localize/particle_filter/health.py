@@ -172,7 +172,7 @@ class StartProof:
 
 def not_offered(estimate: PfEstimate) -> str | None:
     """Why the particle filter's own health keeps a pose from the output filter, or None."""
-    if not estimate.healthy:
+    if not (estimate.healthy or estimate.usable):
         return "unhealthy"
     if estimate.modes > 1:
         return "modes"

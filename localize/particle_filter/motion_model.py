@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc
+from polemap.localize.particle_filter.free_motion import FreeMotion
 from polemap.vehicle.motion import arc_displacement
 from polemap.vehicle.pose import move_reference_point
 
@@ -16,8 +17,9 @@ Floats = NDArray[np.float64]
 
 # the step that the alphas are given for: odometry at 50 Hz
 REFERENCE_STEP_S = 0.02
-# what a speed may have changed by in a hole of the odometry: 4 m/s^2 for half a second
-_GAP_SPEED_MPS = 2.0
+# a turn as tight as a car park's, where tyres and steering gear leave their linear range, and what
+# the additional turn is there, in that of the road
+_TIGHT_RADPM, _TIGHT_FACTOR = 0.2, 1.4
 
 
 def sample_motion(
@@ -28,6 +30,7 @@ def sample_motion(
     rng: np.random.Generator,
     slip_rad_per_mps2: Floats | float = 0.0,
     factors: Floats | tuple[float, float, float] = (1.0, 1.0, 1.0),
+    motion: FreeMotion | None = None,
 ) -> Floats:
     """Front-axle poses `(n, 3)` after the arcs, each particle with its own noise; yaw not wrapped.
 
@@ -39,6 +42,8 @@ def sample_motion(
     The rear axle does not go where the car points: in a bend its tyres slip outward, which the
     paper leaves out. On an arc of lateral acceleration a it goes in the direction yaw - k a, with
     `slip_rad_per_mps2` k of every particle, `(n,)`.
+
+    With `motion` the particles that are free move by rates of their own.
 
     `factors` scale the noise along, aside and of the turn (`NoiseScale`).
 
@@ -52,8 +57,17 @@ def sample_motion(
     for arc in arcs:
         speed_sd, yaw_rate_sd, turn_sd = noise_of_arc(arc, config)
         noise = rng.standard_normal((4, count))
-        distance = (arc.speed_mps + along * speed_sd * noise[0]) * arc.dt_s
-        turn = arc.dt_s * (arc.yaw_rate_radps + turning * yaw_rate_sd * noise[1])
+        # the error of tight turns is not learned where the road is straight
+        turn_sd = float(np.hypot(turning * turn_sd, tight_turn_sd(arc, config)))
+        speed: Floats = arc.speed_mps + along * speed_sd * noise[0]
+        rate: Floats = arc.yaw_rate_radps + turning * yaw_rate_sd * noise[1]
+        if motion is not None:
+            motion.step(arc.dt_s)
+            speed += motion.followed_mps - arc.speed_mps
+            speed = np.where(motion.free, motion.speed_mps, speed)
+            rate = np.where(motion.free, motion.yaw_rates(arc.yaw_rate_radps), rate)
+        distance = speed * arc.dt_s
+        turn = arc.dt_s * rate
         sideslip = -slip_rad_per_mps2 * (arc.speed_mps * arc.yaw_rate_radps)
         left = (
             beside
@@ -63,8 +77,22 @@ def sample_motion(
         )
         moved[:, :2] += arc_displacement(yaw, distance, turn, sideslip, left)
         half = 0.5 * turn
-        moved[:, 2] = yaw + half + half + turning * turn_sd * noise[2]
+        moved[:, 2] = yaw + half + half + turn_sd * noise[2]
     return move_reference_point(moved, wheelbase_m)
+
+
+def tight_turn_sd(arc: Arc, config: LocalizeConfig) -> float:
+    """Standard deviation of the additional turn of an arc where it is as tight as in a car park.
+
+    A yaw rate from steering or wheels that is off by a share s through a turn of some seconds T
+    acts like white noise of density 2 (s w)^2 T: with alpha3 of 10 ms, s is 5 % for 2 s. It grows
+    with the curvature, has no bound as alpha4, and is not scaled by what was learned elsewhere.
+    """
+    if arc.yaw_rate_radps == 0.0 or arc.speed_mps == 0.0:
+        return 0.0
+    tight = min(1.0, abs(arc.yaw_rate_radps / arc.speed_mps) / _TIGHT_RADPM)
+    alpha3 = _TIGHT_FACTOR * config.alpha3_rotation_s
+    return float(tight * alpha3 * abs(arc.yaw_rate_radps) * np.sqrt(arc.dt_s / REFERENCE_STEP_S))
 
 
 def noise_of_arc(arc: Arc, config: LocalizeConfig) -> tuple[float, float, float]:
@@ -80,7 +108,4 @@ def noise_of_arc(arc: Arc, config: LocalizeConfig) -> tuple[float, float, float]
     if arc.speed_mps == 0.0:
         speed_sd = yaw_rate_sd = 0.0
     speed_sd *= rate_scale
-    if arc.blind_s > 0.0:
-        # nothing was measured: the speed may have become anything within that
-        speed_sd = np.hypot(speed_sd, _GAP_SPEED_MPS * np.sqrt(arc.blind_s / arc.dt_s))
     return float(speed_sd), float(yaw_rate_sd * rate_scale), float(turn_sd / rate_scale)

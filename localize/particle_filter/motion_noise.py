@@ -36,7 +36,11 @@ class NoiseScale:
 
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
-        self._sum = _PRIOR_WINDOWS * config.noise_scale_start**2 * np.ones(3)
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known but the prior."""
+        self._sum = _PRIOR_WINDOWS * self._config.noise_scale_start**2 * np.ones(3)
         self._count = _PRIOR_WINDOWS * np.ones(3)
         self._correction = np.zeros(3)
         self._expected = np.zeros(3)

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.config import LocalizeConfig
+from polemap.localize.contradictions import Held
 from polemap.localize.odometry_history import Arc
+from polemap.localize.particle_filter.free_motion import FreeMotion
 from polemap.localize.particle_filter.motion_model import sample_motion
 from polemap.vehicle.pose import move_reference_point, wrap_angle
 
@@ -18,12 +20,18 @@ Floats = NDArray[np.float64]
 _RESAMPLE_BELOW = 0.5
 # how the slip differs from car to car: those of vehicle/cars lie within 1.1 of it
 _SLIP_SD_RAD_PER_MPS2 = 0.0015
+# log-weight of a particle that followed an odometry that took it back
+_DROPPED = -5.0
 # kernel that parts survivors of one particle, as a share of the spread (Liu and West 2001)
 _KERNEL = 0.1
 
 
 class ParticleSet:
-    """Front-axle poses `(n, 3)`, slips `(n,)` and log-weights `(n,)`; empty until `place_all`."""
+    """Front-axle poses `(n, 3)`, slips `(n,)` and log-weights `(n,)`; empty until `place_all`.
+
+    Attributes:
+        motion: of those that do not follow the odometry, None while all do.
+    """
 
     def __init__(
         self, config: LocalizeConfig, wheelbase_m: float, rng: np.random.Generator
@@ -34,6 +42,7 @@ class ParticleSet:
         self.poses = np.empty((0, 3))
         self.log_weights = np.empty(0)
         self._slips = np.empty(0)
+        self.motion: FreeMotion | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -63,14 +72,31 @@ class ParticleSet:
     def move_along(self, arcs: Iterable[Arc], factors: Floats) -> None:
         """Move by the odometry's arcs, each particle with its own noise."""
         moved = sample_motion(
-            self.poses, arcs, self._wheelbase_m, self._config, self._rng, self._slips, factors
-        )
+            self.poses, arcs, self._wheelbase_m, self._config, self._rng, self._slips, factors,
+            self.motion,
+        )  # fmt: skip
         moved[:, 2] = wrap_angle(moved[:, 2])
         self.poses = moved
+
+    def release(self, held: Held, share: float, *, sure: bool) -> None:
+        """Let a share of the particles move by rates of their own; see `FreeMotion`."""
+        self.motion = FreeMotion(len(self), held, share, self._rng, sure=sure)
+
+    def drop_followers(self) -> None:
+        """What the odometry said is known to be wrong: those that followed it count for little."""
+        if self.motion is not None and self.motion.free.any():
+            self.log_weights = self.log_weights + np.where(self.motion.free, 0.0, _DROPPED)
+
+    @property
+    def following_share(self) -> float:
+        """Weight of the particles that follow the odometry."""
+        return 1.0 if self.motion is None else float(self.weights[~self.motion.free].sum())
 
     def replace_some(self, rear: Floats, log_weights: Floats) -> None:
         """Let rear-axle poses take the places of as many particles."""
         kept = low_variance_indices(self.weights, len(self) - len(rear), self._rng)
+        if self.motion is not None:
+            self.motion.take_with_newcomers(kept, len(self))
         self.place_all(
             np.vstack([self.rear[kept], rear]),
             np.concatenate([np.zeros(len(kept)), log_weights]),
@@ -85,6 +111,8 @@ class ParticleSet:
         count = particles_needed(self.poses, weights, self._config)
         chosen = low_variance_indices(weights, count, self._rng)
         self._slips = jittered(self._slips[chosen], self._rng)
+        if self.motion is not None:
+            self.motion.take(chosen)
         self.poses = self.poses[chosen]
         self.log_weights = np.zeros(count)
 

@@ -63,6 +63,10 @@ class PlaceSearch:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
         self._recent.add_scan(scan, odometry_pose, travelled_m)
 
+    def forget_poles(self) -> None:
+        """Odometry has failed: the poles of the last metres are no constellation any more."""
+        self._recent = RecentPoles()
+
     def draw_start(
         self, count: int, stamp_s: float, odometry_pose: Floats, rng: np.random.Generator
     ) -> Floats:

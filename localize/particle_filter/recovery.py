@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.localize.config import RecoveryConfig
+from polemap.localize.contradictions import UnmatchedPoles
 from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.particle_filter.estimate import Event
 from polemap.localize.particle_filter.exploration import LikelihoodAverages
@@ -49,6 +50,7 @@ class Recovery:
         search: where the car may be.
         averages: of how well scans fit.
         lost, proof: the judgement of the present place.
+        unmatched: whether the last second's poles contradict it.
         explored_share: of the particles that the last scan gave another place.
     """
 
@@ -68,6 +70,7 @@ class Recovery:
         self.averages = LikelihoodAverages(config.explore_share_max)
         self.lost = LostDetector(config)
         self.proof = StartProof(config)
+        self.unmatched = UnmatchedPoles()
         self.explored_share = 0.0
 
     def believe(self) -> None:
@@ -132,6 +135,7 @@ class Recovery:
         self._mix_in(particles, drawn, np.zeros(len(drawn)))
         self.averages.reset()
         self.lost.reset()
+        self.unmatched.forget()
         return True
 
     def _mix_in(self, particles: ParticleSet, rear: Floats, log_weights: Floats) -> None:

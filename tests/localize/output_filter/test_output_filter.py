@@ -82,13 +82,13 @@ def batch_oracle(states, events, config, model):
 
     def add(entries, value, covariance):
         white = np.linalg.inv(np.linalg.cholesky(covariance))
-        block = np.zeros((len(value), 7 * n))
+        block = np.zeros((len(value), 9 * n))
         for index, jacobian in entries:
-            block[:, 7 * index : 7 * index + 7] = jacobian
+            block[:, 9 * index : 9 * index + 9] = jacobian
         rows.append(white @ block)
         values.append(white @ value)
 
-    add([(0, np.eye(7))], np.array(states[0].mean), unpack(states[0].upper))
+    add([(0, np.eye(9))], np.array(states[0].mean), unpack(states[0].upper))
     qa = 2 * model.acceleration_mps2**2 * model.acceleration_time_s
     qw = 2 * model.yaw_acceleration_radps2**2 * model.yaw_acceleration_time_s
     for k in range(1, n):
@@ -96,9 +96,9 @@ def batch_oracle(states, events, config, model):
         dt = states[k].stamp_s - states[k - 1].stamp_s
         if dt == 0.0:
             # two events of one moment: a transition without noise, made stiff
-            transition, noise, moved = np.eye(7), 1e-16 * np.eye(7), before
+            transition, noise, moved = np.eye(9), 1e-16 * np.eye(9), before
         else:
-            transition, noise = np.eye(7), np.zeros((7, 7))
+            transition, noise = np.eye(9), np.zeros((9, 9))
             transition[:5, :5] = ctrv_jacobian(before[:5], dt)
             slip = 2 * model.slip_rad_per_mps2**2 * model.slip_time_s
             lasting = 2 * model.odometry_error_time_s
@@ -109,19 +109,23 @@ def batch_oracle(states, events, config, model):
                 yaw_acceleration_rad2ps3=qw,
                 lateral_m2ps=slip * (before[3] ** 2 * before[4]) ** 2,
                 along_m2ps=lasting * (model.speed_error_share * before[3]) ** 2,
-                yaw_rad2ps=lasting * model.yaw_rate_error_radps**2 * min(1.0, before[3] ** 2),
+                yaw_rad2ps=lasting * model.yaw_rate_error_radps**2 * min(1.0, before[3] ** 2)
+                + 2 * model.turn_error_time_s * (model.turn_error_share * before[4]) ** 2,
             )
-            noise[5, 5] = model.speed_scale_walk**2 * dt
-            noise[6, 6] = model.yaw_rate_offset_walk_radps**2 * dt
-            moved = np.concatenate([ctrv_step(before[:5], dt), before[5:]])
+            times = np.array([model.odometry_drift_s, model.odometry_drift_s, 60.0, 60.0])
+            sds = np.array([model.speed_scale_sd, model.yaw_rate_offset_sd_radps, 2.5, 2.5])
+            kept = np.exp(-dt / times)
+            transition[5:, 5:] = np.diag(kept)
+            noise[5:, 5:] = np.diag((1.0 - kept**2) * sds**2)
+            moved = np.concatenate([ctrv_step(before[:5], dt), kept * before[5:]])
             # the filter's yaw is wrapped, the line is not
             moved[2] = before[2] + before[4] * dt
-        add([(k, np.eye(7)), (k - 1, -transition)], moved - transition @ before, noise)
+        add([(k, np.eye(9)), (k - 1, -transition)], moved - transition @ before, noise)
         kind, sample = events[k - 1]
         if kind == 1:
-            add([(k, np.eye(3, 7))], sample.pose, sample.covariance)
+            add([(k, np.eye(3, 9))], sample.pose, sample.covariance)
         else:
-            jacobian = np.zeros((2, 7))
+            jacobian = np.zeros((2, 9))
             jacobian[0, 3], jacobian[0, 5] = 1.0 + moved[5], moved[3]
             jacobian[1, 4] = jacobian[1, 6] = 1.0
             predicted = np.array([moved[3] * (1 + moved[5]), moved[4] + moved[6]])
@@ -132,8 +136,8 @@ def batch_oracle(states, events, config, model):
     matrix, value = np.vstack(rows), np.concatenate(values)
     solution = np.linalg.lstsq(matrix, value, rcond=None)[0]
     information = matrix.T @ matrix
-    last = np.linalg.inv(information)[-7:, -7:]
-    return solution[-7:], last
+    last = np.linalg.inv(information)[-9:, -9:]
+    return solution[-9:], last
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -168,9 +172,8 @@ MATCHED_NOISE = replace(
     speed_error_share=0.0,
     yaw_rate_error_radps=0.0,
     speed_scale_sd=0.01,
-    speed_scale_walk=0.0,
+    odometry_drift_s=1e9,
     yaw_rate_offset_sd_radps=0.001,
-    yaw_rate_offset_walk_radps=0.0,
 )
 DENSITIES = (2 * 1.0**2 * 0.5, 2 * 0.1**2 * 0.3)
 
@@ -280,6 +283,6 @@ def test_poses_that_cannot_be_used_are_recognised(stamp, pose, covariance, probl
 
 
 def test_the_state_is_a_value():
-    state = FilterState(0.0, (0.0,) * 7, pack(np.eye(7)))
+    state = FilterState(0.0, (0.0,) * 7, pack(np.eye(9)))
     with pytest.raises(AttributeError):
         state.stamp_s = 1.0  # type: ignore[misc]

@@ -9,8 +9,8 @@ from polemap.vehicle.packed import pack
 
 
 def state(stamp, x=0.0, y=0.0, yaw=0.0, speed=10.0, **changes):
-    mean = (x, y, yaw, speed, 0.0, 0.0, 0.0)
-    return FilterState(stamp, mean, pack(0.01 * np.eye(7)))._replace(**changes)
+    mean = (x, y, yaw, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return FilterState(stamp, mean, pack(0.01 * np.eye(9)))._replace(**changes)
 
 
 def test_without_corrections_the_output_is_the_filters_pose():
@@ -64,3 +64,15 @@ def test_asking_without_the_limit_leaves_the_limiter_alone():
     limiter.limit(state(0.0))
     assert limiter.unlimited(state(0.5, y=9.0)).pose[1] == 9.0
     assert limiter.last_stamp_s == 0.0
+
+
+def test_what_is_metres_off_is_no_correction_but_a_return_and_says_so():
+    limiter = OutputLimiter()
+    limiter.limit(state(0.0))
+    near = limiter.limit(state(0.01, x=0.1, y=0.9))
+    assert near.flag == ""
+    back = limiter.limit(state(0.02, x=0.2, y=14.0))
+    assert back.flag == "recovered"
+    assert back.pose == (0.2, 14.0, 0.0)
+    assert back.jump_m == pytest.approx(14.0, abs=0.1)
+    assert np.allclose(back.covariance, 0.01 * np.eye(3))

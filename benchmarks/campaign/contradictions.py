@@ -1,0 +1,97 @@
+"""Every kind of fault of `faults.py` on many seeds: is the localizer right, or does it say so?
+
+`python -m benchmarks.campaign.contradictions [--seeds N] [--first N] [--kinds WORD] [--out FILE]
+[--workers N]` runs them and prints a line a kind. The rows go to FILE as they come; what stands
+there already is not run again, so a campaign that was stopped goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaign.faults import KINDS
+from benchmarks.campaign.judge import judge
+from benchmarks.harness import FOLDER
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.replay import replay
+
+RESULTS = FOLDER / "contradictions.jsonl"
+
+
+def one(job: tuple[str, int]) -> dict[str, Any]:
+    """One kind with one seed; a crash is an outcome."""
+    name, seed = job
+    try:
+        faulty = KINDS[name](seed)
+        case = faulty.case
+        run = replay(case.drive, case.pole_map, case.scans, LocalizeConfig(), seed=seed)
+        verdicts = {key: asdict(verdict) for key, verdict in judge(run, faulty).items()}
+    except Exception as error:  # the campaign counts crashes, and goes on
+        verdicts = {
+            key: {"silent_s": 0.0, "healthy": 0.0, "worst_m": 0.0, "back_s": float("nan"),
+                  "outcome": f"crash: {type(error).__name__}: {error}"}
+            for key in ("pf", "kf")
+        }  # fmt: skip
+    return {"kind": name, "seed": seed, **verdicts}
+
+
+def run_all(kinds: list[str], seeds: range, out: Path, workers: int = 2) -> list[dict[str, Any]]:
+    """All rows; those that `out` holds already are not run again."""
+    rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+    done = {(row["kind"], row["seed"]) for row in rows}
+    jobs = [(k, s) for s in seeds for k in kinds if (k, s) not in done]
+    with ProcessPoolExecutor(workers) as pool, out.open("a") as file:
+        for row in pool.map(one, jobs):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            rows.append(row)
+    return [row for row in rows if row["kind"] in kinds and row["seed"] in seeds]
+
+
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """A line a kind."""
+    yield "kind | silent s pf, kf | runs silent | healthy pf, kf | worst m pf, kf | back s pf, kf"
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        of = [row for row in rows if row["kind"] == kind]
+        cells = []
+        for key, how in (("silent_s", np.sum), ("healthy", np.mean), ("worst_m", np.max)):
+            pair = [how([row[f][key] for row in of]) for f in ("pf", "kf")]
+            cells.append(", ".join(f"{value:.2f}" for value in pair))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            pair = [np.nanmedian([row[f]["back_s"] for row in of]) for f in ("pf", "kf")]
+        silent = sum(row["pf"]["silent_s"] + row["kf"]["silent_s"] > 0 for row in of)
+        crashes = sum(row["kf"]["outcome"].startswith("crash") for row in of)
+        yield (
+            f"{kind} | {cells[0]} | {silent} of {len(of)} | {cells[1]} | {cells[2]} | "
+            + ", ".join(f"{value:.1f}" for value in pair)
+            + (f" | {crashes} CRASHES" if crashes else "")
+        )
+
+
+def main(words: list[str] | None = None) -> None:
+    """Run what the words ask for, all kinds with ten seeds by default."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kinds", default="")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args(words)
+    kinds = [name for name in KINDS if given.kinds in name]
+    seeds = range(given.first, given.first + given.seeds)
+    for line in table(run_all(kinds, seeds, given.out, given.workers)):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,298 @@
+"""The kinds of fault of the campaign, each a change of a case that a seed makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.campaign.drives import STREET, Case, blind, car_park, street
+from polemap.drivelog.detections import Detections
+from polemap.map.landmark_map import PoleMap
+from polemap.simulate.map_faults import with_extra_poles, without_poles
+from polemap.simulate.points.motion import WindingRoad
+from polemap.simulate.stream_faults import GnssOffset, OdometryDropout
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Faulty:
+    """A case with its fault in it, from `from_s` until `until_s` (infinite where it lasts)."""
+
+    case: Case
+    from_s: float = 0.0
+    until_s: float = np.inf
+
+
+Kind = Callable[[int], Faulty]
+
+
+def bend_s(case: Case, first_s: float = 14.0, last_s: float = 26.0) -> float:
+    """Where between two moments the drive turns most."""
+    odometry = case.drive.odometry
+    assert odometry is not None
+    inside = (odometry.stamp_s >= first_s) & (odometry.stamp_s <= last_s)
+    turning = np.where(inside, np.abs(odometry.yaw_rate_radps), -1.0)
+    return float(odometry.stamp_s[np.argmax(turning)])
+
+
+def rates(
+    case: Case,
+    from_s: float,
+    until_s: float,
+    speed: Callable[[Floats], Floats] | None = None,
+    yaw_rate: Callable[[Floats], Floats] | None = None,
+) -> Case:
+    """Speed or yaw rate of the odometry changed for a while."""
+    odometry = case.drive.odometry
+    assert odometry is not None
+    hit = (odometry.stamp_s >= from_s) & (odometry.stamp_s < until_s)
+    changed = odometry
+    if speed is not None:
+        values = np.where(hit, speed(odometry.speed_mps), odometry.speed_mps)
+        changed = replace(changed, speed_mps=values)
+    if yaw_rate is not None:
+        values = np.where(hit, yaw_rate(odometry.yaw_rate_radps), odometry.yaw_rate_radps)
+        changed = replace(changed, yaw_rate_radps=values)
+    return replace(case, drive=replace(case.drive, odometry=changed))
+
+
+def speed_times(factor: float, seconds: float, *, unseen: bool = False) -> Kind:
+    """Wheels that slip, spin or lock: the speed times a factor, in a bend."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        start = bend_s(case)
+        case = rates(case, start, start + seconds, speed=lambda v: factor * v)
+        if unseen:
+            case = blind(case, start - 0.5, start + seconds + 1.0)
+        return Faulty(case, start, start + seconds)
+
+    return kind
+
+
+def speed_drifts(factor: float, over_s: float, seconds: float) -> Kind:
+    """The speed goes wrong gently, as no single sample shows."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        start = bend_s(case)
+        odometry = case.drive.odometry
+        assert odometry is not None
+        share = np.clip((odometry.stamp_s - start) / over_s, 0.0, 1.0)
+        wrong = rates(case, start, start + seconds, speed=lambda v: v * (1 + (factor - 1) * share))
+        return Faulty(wrong, start, start + seconds)
+
+    return kind
+
+
+def yaw_rate_changed(change: Callable[[Floats], Floats], seconds: float = np.inf) -> Kind:
+    """The yaw rate with another sign, scale or offset."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        start = bend_s(case) if np.isfinite(seconds) else 0.0
+        return Faulty(rates(case, start, start + seconds, yaw_rate=change), start, start + seconds)
+
+    return kind
+
+
+def silent(seconds: float) -> Kind:
+    """No odometry for a while, in a bend."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        start = bend_s(case)
+        fault = OdometryDropout(from_s=start, until_s=start + seconds)
+        drive = fault.apply(case.drive, np.random.default_rng(seed))
+        return Faulty(replace(case, drive=drive), start, start + seconds)
+
+    return kind
+
+
+def unseen(seconds: float) -> Kind:
+    """No pole is seen for a while, though the detector looks."""
+
+    def kind(seed: int) -> Faulty:
+        return Faulty(blind(street(seed), 15.0, 15.0 + seconds), 15.0, 15.0 + seconds)
+
+    return kind
+
+
+def fixes_late(by_s: float) -> Kind:
+    """Every fix says where the car was `by_s` seconds before its stamp."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        gnss = case.drive.gnss
+        assert gnss is not None
+        late = replace(gnss, stamp_s=gnss.stamp_s + by_s, arrival_s=gnss.arrival_s + by_s)
+        return Faulty(replace(case, drive=replace(case.drive, gnss=late)))
+
+    return kind
+
+
+def fixes_jump(by_m: float, seconds: float = np.inf, start_s: float = 18.0) -> Kind:
+    """All fixes shifted from one moment on, in a direction of the seed's choice."""
+
+    def kind(seed: int) -> Faulty:
+        case, turn = street(seed), 2.4 * seed
+        fault = GnssOffset(
+            from_s=start_s, until_s=start_s + seconds,
+            east_m=by_m * np.cos(turn), north_m=by_m * np.sin(turn),
+        )  # fmt: skip
+        drive = fault.apply(case.drive, np.random.default_rng(seed))
+        return Faulty(replace(case, drive=drive), start_s, start_s + seconds)
+
+    return kind
+
+
+def fixes_walk(rate_mps: float) -> Kind:
+    """Fixes that wander off slowly, as spoofed ones do."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        gnss = case.drive.gnss
+        assert gnss is not None
+        off = rate_mps * np.maximum(gnss.stamp_s - 15.0, 0.0)
+        return Faulty(
+            replace(case, drive=replace(case.drive, gnss=replace(gnss, east_m=gnss.east_m + off))),
+            15.0,
+        )
+
+    return kind
+
+
+def aged_map(gone: float, extra: float) -> Kind:
+    """A share of the street's poles is not in the map, and the map has others that are gone."""
+
+    def kind(seed: int) -> Faulty:
+        case, rng = street(seed), np.random.default_rng([seed, 5])
+        aged = with_extra_poles(without_poles(case.pole_map, gone, rng), extra, rng)
+        return Faulty(replace(case, pole_map=aged))
+
+    return kind
+
+
+def doubled_map(shift_m: float, turn_rad: float = 0.0) -> Kind:
+    """Every pole twice: two surveys that were never brought together."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        return Faulty(replace(case, pole_map=twice(case.pole_map, shift_m, 2.4 * seed, turn_rad)))
+
+    return kind
+
+
+def twice(pole_map: PoleMap, shift_m: float, towards_rad: float, turn_rad: float) -> PoleMap:
+    """The map and its copy, shifted and turned about the middle."""
+    middle = pole_map.points_m.mean(axis=0)
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    copy = (pole_map.points_m - middle) @ np.array([[c, s], [-s, c]]) + middle
+    copy = copy + shift_m * np.array([np.cos(towards_rad), np.sin(towards_rad)])
+    rows = np.tile(np.arange(len(pole_map)), 2)
+    names = ("covariance_m2", "width_m", "height_m", "observations", "drives", "existence")
+    return replace(
+        pole_map,
+        ids=np.arange(len(rows)),
+        points_m=np.vstack([pole_map.points_m, copy]),
+        **{name: getattr(pole_map, name)[rows] for name in names},
+    )
+
+
+def other_map(seed: int) -> Faulty:
+    """The map of another street, moved to this one."""
+    case, other = street(seed), street(seed + 1000)
+    shift = case.pole_map.points_m.mean(axis=0) - other.pole_map.points_m.mean(axis=0)
+    moved = replace(other.pole_map, points_m=other.pole_map.points_m + shift)
+    return Faulty(replace(case, pole_map=moved))
+
+
+def scans_changed(change: Callable[[Detections], Detections], seconds: float) -> Kind:
+    """A detector that reports something else for a while."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        scans = tuple(
+            change(s) if 18.0 <= s.stamp_s < 18.0 + seconds and len(s) else s for s in case.scans
+        )
+        return Faulty(replace(case, scans=scans), 18.0, 18.0 + seconds)
+
+    return kind
+
+
+def mirrored(scan: Detections) -> Detections:
+    """Left and right exchanged."""
+    flip = np.array([1.0, -1.0])
+    return scan.with_columns(
+        points_vehicle_m=scan.points_vehicle_m * flip,
+        covariance_m2=scan.covariance_m2 * np.outer(flip, flip),
+    )
+
+
+def frozen_scans(seconds: float) -> Kind:
+    """The detector repeats one scan under new stamps."""
+
+    def kind(seed: int) -> Faulty:
+        case = street(seed)
+        first = next(s for s in case.scans if s.stamp_s >= 18.0 and len(s))
+        scans = tuple(
+            replace(first, stamp_s=s.stamp_s, arrival_s=s.arrival_s)
+            if 18.0 <= s.stamp_s < 18.0 + seconds
+            else s
+            for s in case.scans
+        )
+        return Faulty(replace(case, scans=scans), 18.0, 18.0 + seconds)
+
+    return kind
+
+
+_STANDING = replace(STREET, motion=WindingRoad(standstill_s=8.0))
+
+KINDS: dict[str, Kind] = {
+    "none": lambda seed: Faulty(street(seed)),
+    "none, winding road after a standstill": lambda seed: Faulty(street(seed, _STANDING)),
+    "speed 0 for 0.1 s": speed_times(0.0, 0.1),
+    "speed 0 for 0.5 s": speed_times(0.0, 0.5),
+    "speed 0 for 2 s": speed_times(0.0, 2.0),
+    "speed 0 for 2 s, no poles": speed_times(0.0, 2.0, unseen=True),
+    "speed x 1.3 for 1 s": speed_times(1.3, 1.0),
+    "speed x 1.3 for 5 s": speed_times(1.3, 5.0),
+    "speed x 1.8 for 1 s": speed_times(1.8, 1.0),
+    "speed x 1.8 for 5 s": speed_times(1.8, 5.0),
+    "speed x 1.3 for 5 s, no poles": speed_times(1.3, 5.0, unseen=True),
+    "speed x 1.3 gently for 8 s": speed_drifts(1.3, 3.0, 8.0),
+    "speed x 0.7 for 3 s": speed_times(0.7, 3.0),
+    "silent for 1 s": silent(1.0),
+    "silent for 5 s": silent(5.0),
+    "silent for 10 s": silent(10.0),
+    "yaw rate other sign": yaw_rate_changed(lambda w: -w),
+    "yaw rate other sign for 5 s": yaw_rate_changed(lambda w: -w, 5.0),
+    "yaw rate 0 for 2 s": yaw_rate_changed(lambda w: 0.0 * w, 2.0),
+    "yaw rate 0.05 rad/s off for 5 s": yaw_rate_changed(lambda w: w + 0.05, 5.0),
+    "yaw rate in degrees": yaw_rate_changed(np.degrees),
+    "car park, 7 % in tight turns": lambda seed: Faulty(car_park(seed), 30.0),
+    "no poles for 4 s": unseen(4.0),
+    "no poles for 20 s": unseen(20.0),
+    "fixes 18 s late": fixes_late(18.0),
+    "fixes 18 s early": fixes_late(-18.0),
+    "fixes 2 s late": fixes_late(2.0),
+    "fixes jump 10 m": fixes_jump(10.0),
+    "fixes jump 30 m for 10 s": fixes_jump(30.0, 10.0),
+    "fixes jump 100 m": fixes_jump(100.0),
+    "fixes 60 m off from the start": fixes_jump(60.0, start_s=-1.0),
+    "fixes walk off at 1 m/s": fixes_walk(1.0),
+    "map 40 % out of date": aged_map(0.4, 0.4),
+    "map of which 40 % is gone": aged_map(0.0, 0.67),
+    "map doubled, 1 m off": doubled_map(1.0),
+    "map doubled, 0.6 m and 0.5 degrees off": doubled_map(0.6, 0.009),
+    "map doubled, 3 m off": doubled_map(3.0),
+    "map of another street": other_map,
+    "poles mirrored for 5 s": scans_changed(mirrored, 5.0),
+    "poles frozen for 3 s": frozen_scans(3.0),
+}
+"""Every kind by its name."""

@@ -1,0 +1,62 @@
+"""May the output be trusted within three times its stated deviation? And if not, why."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.localize.config import HealthConfig
+from polemap.localize.output_filter.rejection import INFLATE_AFTER_S
+from polemap.localize.output_filter.state import NEVER, FilterState
+
+Floats = NDArray[np.float64]
+
+# a heading less sure than this leads a car off its lane within a few lengths
+_YAW_SD_MAX_RAD = 0.1
+SILENT_AFTER_S = 0.5
+"""Odometry is silent after so long; at town speed the car is then some metres further."""
+# fixes in a row, and how long; the errors of a fast receiver's fixes are alike for a moment
+_FIXES, _FIXES_AFTER_S = 3, 0.5
+ALONE_AFTER_S = 1.0
+"""So long after the last scan that found poles of the map nothing but odometry holds the pose."""
+
+
+def distrust(state: FilterState, stamp_s: float, covariance: Floats, config: HealthConfig) -> str:
+    """Why the output at `stamp_s` may not be trusted, "" where it may.
+
+    Args:
+        state: of the filter, predicted to the stamp.
+        stamp_s: of the output.
+        covariance: `(3, 3)` that the output states.
+        config: how large its standard deviations may be.
+
+    Returns:
+        "unproven" (no pose on poles yet), "odometry_doubted", "odometry_silent", "poses_rejected",
+        "fixes_disagree" or "spread": the first that holds.
+    """
+    if state.last_pose_s == NEVER:
+        return "unproven"
+    if state.doubted:
+        return "odometry_doubted"
+    if stamp_s - state.odometry_s > SILENT_AFTER_S:
+        return "odometry_silent"
+    if state.rival is not None and stamp_s - state.rival.since_s >= INFLATE_AFTER_S:
+        return "poses_rejected"
+    if fixes_disagree(state, stamp_s):
+        return "fixes_disagree"
+    east, north, both = covariance[0, 0], covariance[1, 1], covariance[0, 1]
+    largest = 0.5 * (east + north) + float(np.hypot(0.5 * (east - north), both))
+    if largest > config.sd_max_m**2 or covariance[2, 2] > _YAW_SD_MAX_RAD**2:
+        return "spread"
+    return ""
+
+
+def fixes_disagree(state: FilterState, stamp_s: float) -> bool:
+    """Whether all fixes have failed for a while in which no pole spoke for the pose.
+
+    Each fails a gate that 99 % of right ones pass, the error that they share known: three in a row
+    happen by chance once in a million. Where poles are found the fixes are wrong.
+    """
+    alone = stamp_s - state.held_s > ALONE_AFTER_S
+    lasted_s = stamp_s - state.gnss_rejected_since_s
+    return alone and state.gnss_rejected >= _FIXES and lasted_s >= _FIXES_AFTER_S
