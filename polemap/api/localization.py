@@ -81,7 +81,7 @@ def replay(
 
     Returns:
         The run: `kf`, the 100 Hz output, and `pf`, the particle filter, as trajectories with
-        stamps, poses `(n, 3)` east, north, yaw and covariances; `metrics` as in metrics.json.
+        stamps, poses `(n, 3)` east, north, yaw and covariances; `counts` of what happened.
 
     Raises:
         FrameError: map and drive are in different frames.
