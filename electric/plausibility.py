@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 _GRAVITY = 9.80665
 _SPEED_MPS = 3.0
-_ROWS_MIN = 50
+_ROWS_MIN = 20
 _CORRELATION_MIN = 0.7
 _SPEED_MAX_MPS, _YAW_RATE_MAX_RADPS, _ANGLE_MAX_RAD = 100.0, 3.0, 1.0
 
@@ -185,10 +185,16 @@ def _course(log: SignalLog, _car: Car) -> list[Finding]:
     rows = np.flatnonzero(np.isfinite(log.columns["course_rad"]) & fast)
     if len(rows) < 10:
         return []
-    course = np.unwrap(log.columns["course_rad"][rows])
-    near = np.diff(log.stamp_s[rows]) < 2.0
-    slope = _slope(np.diff(turned[rows])[near], np.diff(course)[near],
-                   np.ones(int(near.sum()), dtype=bool), 0.01)  # fmt: skip
+    # over half a second and more, so that a turn stands out of the noise of a course
+    half = np.unique(np.floor(2.0 * log.stamp_s[rows]), return_index=True)[1]
+    rows = rows[half]
+    change, turn = np.diff(log.columns["course_rad"][rows]), np.diff(turned[rows])
+    use = np.diff(log.stamp_s[rows]) < 2.0
+    around = np.abs(change) > np.pi
+    # a course that goes once around jumps now and then; one in degrees is large all the time
+    if around.mean() < 0.1:
+        use &= ~around
+    slope = _slope(turn[use], change[use], np.ones(int(use.sum()), dtype=bool), 0.01)
     if slope is None or 0.5 < slope < 2.0:
         return []
     if slope < 0.0:

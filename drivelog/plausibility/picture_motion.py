@@ -51,7 +51,8 @@ def stamp_findings(drive: Drive) -> list[Finding]:
     share = np.array([_explained(seen, _turns(motion, stamps + lag)) for lag in lags])
     if not np.isfinite(share).any():
         return []
-    best = int(np.nanargmax(np.abs(share)))
+    # on a winding road the other sign fits half a period away: it needs to be the better one
+    best = int(np.nanargmax(np.where(share < 0.0, -0.9 * share, share)))
     now = share[np.argmin(np.abs(lags))]
     if abs(share[best]) < _EXPLAINED_MIN or not np.isfinite(now):
         return []

@@ -91,6 +91,8 @@ def distance_findings(drive: Drive) -> list[Finding]:
     if cause := _cause(drive, points, places[:, :2]):
         kind, stream, text, remedy = cause
         return [Finding(kind, "error", stream, f"{value}; {text}", expected, remedy)]
+    if turned := _rotation(points, places[:, :2]):
+        return turned
     constant = np.hypot(*(off - (east, north)).T)
     shift = float(np.median(constant)) < 0.3 * distance
     return [

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 _APART_S, _APART_MAX_S = 0.8, 1.6
 _PAIRS_MAX = 240
 _POLES_MAX = 40
-_FLOOR_M2, _VARIANCE_MAX_M2 = 0.15**2, 4.0
+_FLOOR_M2, _VARIANCE_MAX_M2 = 0.1**2, 4.0
 # how much better than the motion as told a mistake must agree: standard deviations, and ratio
 _BETTER_SDS, _BETTER_RATIO = 5.0, 1.25
 _LAG_SDS, _LAG_RATIO = 5.0, 1.08

@@ -175,27 +175,25 @@ def _lever(design: Floats, left: Floats) -> tuple[float, float]:
 
 def across_findings(odometry: Odometer, reference: Odometer) -> list[Finding]:
     """Whether the reference point lies on the car's middle line: beside it bends are longer."""
-    way_a, turn_a, way_b, turn_b = common_spans(odometry, reference, 2.0)
-    bends = (np.abs(turn_a) > 0.05) & (np.abs(turn_b) > 0.05)
-    straight = (np.abs(turn_b) < 0.02) & (np.abs(way_b) > 2.0)
-    turned = np.abs(turn_b[bends]).sum()
-    if (
-        straight.sum() < 3
-        or turned < _TURN_MIN_RAD
-        or min((turn_b[bends] > 0).sum(), bends.sum()) < 3
-    ):
+    way_a, _, way_b, turn = common_spans(odometry, reference, 2.0)
+    moving = np.abs(way_b) > 1.0
+    if moving.sum() < 8 or np.abs(turn[moving]).sum() < _TURN_MIN_RAD:
         return []
-    scale = float(np.median(way_b[straight] / np.where(way_a == 0, np.nan, way_a)[straight]))
-    rest, turn = way_b[bends] - scale * way_a[bends], turn_b[bends]
-    weight: Floats = np.ones(len(turn))
-    left, spread = 0.0, 1.0
+    # a point to the left of the rear axle's middle goes y times the turn less in a left bend
+    design = np.stack([way_a, -turn], axis=1)[moving]
+    target = way_b[moving]
+    weight: Floats = np.ones(len(target))
+    fit: Floats = np.zeros(2)
+    spread = 1.0
     for _ in range(10):
-        # a point to the left of the rear axle's middle goes y times the turn less in a left bend
-        left = -float(np.sum(weight * rest * turn) / np.sum(weight * turn * turn))
-        error = np.abs(rest + left * turn)
+        root = np.sqrt(weight)
+        fit = np.asarray(np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0])
+        error = np.abs(target - design @ fit)
         spread = 1.4826 * float(np.median(error)) + 1e-3
-        weight = 1.0 / (1.0 + (error / (2.0 * spread)) ** 2)
-    sd = spread / np.sqrt(np.sum(weight * turn * turn))
+        weight = np.asarray(1.0 / (1.0 + (error / (2.0 * spread)) ** 2))
+    information = design.T @ (design * weight[:, None])
+    left = float(fit[1])
+    sd = spread * float(np.sqrt(np.linalg.pinv(information)[1, 1]))
     if abs(left) < _ACROSS_M or abs(left) < _LEVER_SDS * sd:
         return []
     side = "left" if left > 0 else "right"
