@@ -1,9 +1,11 @@
-"""Watches the stamps of one sensor against the times at which its samples arrive.
+"""Watches the computer's clock, and the stamps of each sensor against the times of arrival.
 
-A stamp that lies in the future of its arrival, or that falls behind the sensor's own earlier
-stamps and stays there, can only be a clock's fault. Until several samples agree on the size of
-the step they are dropped; then the step is taken out of every later stamp, so that the sensor
-is of use again. A mere delay never looks like that, and is left to the replay.
+The computer's clock may be set while a car drives: `ComputerClock` sees that in the arrivals of all
+sensors together, and what lies behind it never notices. A stamp that lies in the future of its
+arrival, or that falls behind the sensor's own earlier stamps and stays there, can only be a
+sensor's clock's fault. Until several samples agree on the size of the step they are dropped; then
+the step is taken out of every later stamp, so that the sensor is of use again. A mere delay never
+looks like that, and is left to the replay.
 """
 
 from __future__ import annotations
@@ -15,6 +17,9 @@ FUTURE_S = 0.05
 """A stamp may lie this far behind its arrival: clocks of one car, synchronised by software."""
 STEP_SAMPLES = 5
 """Samples in a row that must agree on a step: 0.1 s of odometry."""
+# arrivals this far apart are a hole, and this far back a clock that was set: sensors that share a
+# queue come out of order by less
+_HOLE_S, _BACK_S = 60.0, 1.0
 # a smaller step is a delay like any other
 _STEP_S = 0.5
 # a sensor silent for longer has stopped
@@ -23,6 +28,50 @@ _SILENCE_S = 0.5
 _AGREE_S = 0.05
 # the typical delay follows short delays at once and long ones slowly
 _TYPICAL_SHARE = 0.01
+
+
+class ComputerClock:
+    """The clock that arrivals are read from, made steady.
+
+    A sample that arrives long before the last one, or more than a minute after it, is dropped, and
+    so are the next, until five in a row agree that time has gone on there. Then the clock was set
+    back, and from then on all stamps and arrivals are moved by as much; or there was a hole.
+
+    Attributes:
+        correction_s: to be added to what the clock reads.
+        counts: `clock_ahead`, `clock_back` (dropped), `computer_clock_steps`.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.correction_s = 0.0
+        self._newest_s: float | None = None
+        self._suspects: list[float] = []
+
+    def accept(self, arrival_s: float) -> bool:
+        """Whether a sample of this arrival may be used, with the correction that then holds."""
+        if not isfinite(arrival_s):
+            return True  # the sensor's own clock counts it and drops it
+        arrival = arrival_s + self.correction_s
+        newest = arrival if self._newest_s is None else self._newest_s
+        if -_BACK_S <= arrival - newest <= _HOLE_S:
+            self._suspects.clear()
+            self._newest_s = max(newest, arrival)
+            return True
+        if self._suspects and not -_BACK_S <= arrival - self._suspects[-1] <= _HOLE_S:
+            self._suspects.clear()
+        self._suspects.append(arrival)
+        if len(self._suspects) < STEP_SAMPLES:
+            self.counts["clock_back" if arrival < newest else "clock_ahead"] += 1
+            return False
+        first = self._suspects[0]
+        self._suspects.clear()
+        if arrival < newest:
+            self.counts["computer_clock_steps"] += 1
+            self.correction_s += newest - first
+            arrival += newest - first
+        self._newest_s = arrival
+        return True
 
 
 class StreamClock:

@@ -18,7 +18,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import GnssFix, OdometrySample, Sample, StereoFrame
 from polemap.localize.calibration import OdometryCorrection
-from polemap.localize.clocks import StreamClock
+from polemap.localize.clocks import ComputerClock, StreamClock
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.contradictions import Held, OdometryWatch
 from polemap.localize.gnss.receiver import GnssReceiver
@@ -35,6 +35,8 @@ from polemap.vehicle.delay import Placement
 
 Floats = NDArray[np.float64]
 
+# where nothing arrives for longer than this, there is no output until something does again
+OUTPUT_HOLE_S = 60.0
 STREAMS = ("odometry", "gnss", "camera")
 
 
@@ -116,6 +118,7 @@ class Localizer:
         self._delay_s = processing_delay_s
         self._on_update = on_update
         self._times = StageTimes(clock)
+        self._computer_clock = ComputerClock()
         self._clocks = {name: StreamClock() for name in STREAMS}
         self._inbox: deque[tuple[OdometrySample | GnssFix, Held | None]] = deque(maxlen=20_000)
         self._pending: list[tuple[float, int, PfEstimate, float]] = []
@@ -133,11 +136,21 @@ class Localizer:
         Raises:
             InputError: a stereo frame, but no perception was given.
         """
+        if not isinstance(sample, OdometrySample | GnssFix | Detections | StereoFrame):
+            return None
+        with self._fast:
+            if not self._computer_clock.accept(sample.arrival_s):
+                return None
+            by_s = self._computer_clock.correction_s
+        if by_s:
+            sample = replace(
+                sample, stamp_s=sample.stamp_s + by_s, arrival_s=sample.arrival_s + by_s
+            )
         if isinstance(sample, OdometrySample):
             self._add_odometry(sample)
         elif isinstance(sample, GnssFix):
             self._add_fix(sample)
-        elif isinstance(sample, Detections | StereoFrame) and self._particle_filter is not None:
+        elif self._particle_filter is not None:
             return self._process_view(sample)
         return None
 
@@ -169,7 +182,8 @@ class Localizer:
             self._particle_filter.set_pose(stamp_s, pose, covariance)
 
     def pose_at(self, stamp_s: float) -> OutputPose | None:
-        """The pose at `stamp_s` from what has arrived; None before the filter has started.
+        """The pose at `stamp_s` from what has arrived; None before the filter has started, and
+        where nothing has arrived for a minute.
 
         Asked at rising stamps, the answers never jump but where they are flagged. For a stamp at
         or before the last one asked for, it is the filter's best knowledge of that moment.
@@ -178,8 +192,12 @@ class Localizer:
             if not isfinite(stamp_s):
                 self.counts["asked_not_finite"] += 1
                 return None
+            asked_s, stamp_s = stamp_s, stamp_s + self._computer_clock.correction_s
             self._release(stamp_s)
             if not self._filter.started:
+                return None
+            if stamp_s - self._filter.newest.stamp_s > OUTPUT_HOLE_S:
+                self.counts["asked_after_a_hole"] += 1
                 return None
             state = self._filter.predicted_to(stamp_s)
             if state.stamp_s > stamp_s:
@@ -189,12 +207,13 @@ class Localizer:
             reason = distrust(state, stamp_s, answer.covariance, self._health)
             if not reason and not self._particles_healthy:
                 reason = "particle_filter"
-            return replace(answer, distrust=reason)
+            return replace(answer, stamp_s=asked_s, distrust=reason)
 
     def summary(self) -> dict[str, int]:
         """Counts of decisions, and of bad input by stream and kind."""
         with self._slow, self._fast:
             total: Counter[str] = Counter(self.counts)
+            total.update(self._computer_clock.counts)
             for name, clock in self._clocks.items():
                 total.update({f"{name}_{kind}": n for kind, n in clock.counts.items()})
             if self._particle_filter is not None:

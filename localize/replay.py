@@ -15,15 +15,12 @@ from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.config import LocalizeConfig, for_car
-from polemap.localize.localizer import Localizer, PoseUpdate
+from polemap.localize.localizer import OUTPUT_HOLE_S, Localizer, PoseUpdate
 from polemap.map.landmark_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 _Input = OdometrySample | GnssFix | Detections
-
-# where nothing arrives for longer than this, the output pauses until something does again
-OUTPUT_HOLE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
