@@ -1,20 +1,18 @@
 """What a detector saw at one moment: the one table from the detector to the map and the filters.
 
-A further class of landmark (signs, trunks, kerb corners) is a further `LandmarkKind`: its detector
-fills rows of that kind, tracks and traversals are associated within a kind, and a map or a filter
-takes the kinds that it knows with `of_kind`.
+The column `kind` names the class of a row (`landmark_kind.py`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polemap.drivelog.columns import Columns
+from polemap.drivelog.landmark_kind import LandmarkKind
 
 Floats = NDArray[np.float64]
 
@@ -45,12 +43,6 @@ class VisibleRegion:
         column = np.floor((bearing - self.bearing_min_rad) / span * bins).astype(np.int64)
         inside = (column >= 0) & (column < bins) & (distance >= self.range_min_m)
         return inside & (distance <= self.free_range_m[np.clip(column, 0, bins - 1)])
-
-
-class LandmarkKind(IntEnum):
-    """Classes of landmarks, as the column `kind` names them."""
-
-    POLE = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

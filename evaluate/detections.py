@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import Ground
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import PerceivedFrame
 from polemap.stereo.matching import DisparityPair
 from polemap.stereo.rig import StereoRig

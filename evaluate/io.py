@@ -15,7 +15,7 @@ from polemap.evaluation.routes import Recording, Route, median_track, same_cours
 from polemap.evaluation.runs.io import RunSet
 from polemap.evaluation.verdict import built_from
 from polemap.map.io import read_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.csv_text import read_rows
 from polemap.parsing.errors import named
 from polemap.vehicle.trajectory import Trajectory

@@ -25,7 +25,7 @@ from polemap.detect.constants import ACROSS_SD_M, AXIS_SD_SHARE, COLUMN_SD_PX, D
 from polemap.detect.visibility import camera_sector
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.drive import Drive
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import inverse_transform_points, rotate_covariance
 
 Floats = NDArray[np.float64]

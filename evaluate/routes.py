@@ -13,7 +13,7 @@ from polemap.drivelog.drive import Drive
 from polemap.evaluation.exclusions import START_UP_S
 from polemap.evaluation.laps import SAME_ROAD_M, Span
 from polemap.evaluation.runs.io import RunSet
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
 from polemap.vehicle.trajectory import Trajectory
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
 from polemap.localize.replay import Run
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]

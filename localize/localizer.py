@@ -21,7 +21,7 @@ from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.clocks import ComputerClock, StreamClock
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.contradictions import Held, OdometryWatch
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.health import distrust, fixes_disagree
 from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
@@ -30,7 +30,7 @@ from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.localize.particle_filter.health import not_offered
 from polemap.localize.stage_times import StageTimes
 from polemap.localize.usable import usable_fix, usable_odometry, usable_poles
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.delay import Placement
 
 Floats = NDArray[np.float64]

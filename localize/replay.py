@@ -16,7 +16,7 @@ from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.config import LocalizeConfig, for_car
 from polemap.localize.localizer import OUTPUT_HOLE_S, Localizer, PoseUpdate
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from polemap.config import PolemapConfig
 from polemap.drivelog.errors import ConfigError
 from polemap.localize.config import LocalizeConfig
-from polemap.parsing.errors import ParsingError, named
-from polemap.parsing.yaml_text import parse_yaml, read_yaml
+from polemap.parsing.errors import named
+from polemap.parsing.yaml_text import read_yaml
+from polemap.set_option import apply_set_option
 from polemap.simulate.config import SimulateConfig
 from polemap.stereo.config import StereoConfig
 
@@ -37,8 +38,7 @@ def load_settings(config_file: Path | None = None, set_values: list[str] | None 
     """
     tree = read_tree(config_file) if config_file is not None else {}
     for item in set_values or []:
-        key, value = parse_item(item, "localize.particles=500")
-        _put(tree, key, value)
+        apply_set_option(tree, item)
     place = f"settings ({config_file})" if config_file else "settings"
     try:
         return Settings.model_validate(tree)
@@ -59,30 +59,6 @@ def read_tree(path: Path) -> dict[str, Any]:
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: expected lines `key: value`, found a {type(tree).__name__}")
     return tree
-
-
-def parse_item(item: str, example: str) -> tuple[str, Any]:
-    """Key and value of a `--set`.
-
-    Raises:
-        ConfigError: not `key=value`, or the value is not YAML.
-    """
-    key, equals, value = item.partition("=")
-    if not equals:
-        raise ConfigError(f"--set {item}: expected key=value, such as {example}")
-    try:
-        return key.strip(), parse_yaml(value)
-    except ParsingError as error:
-        raise ConfigError(f"--set {item[:100]}: the value is {error}") from error
-
-
-def _put(tree: dict[str, Any], key: str, value: Any) -> None:
-    *sections, leaf = key.split(".")
-    for section in sections:
-        tree = tree.setdefault(section, {})
-        if not isinstance(tree, dict):
-            raise ConfigError(f"--set {key}: '{section}' is a value, not a section")
-    tree[leaf] = value
 
 
 def first_problem(error: ValidationError, settings: type[BaseModel]) -> str:

@@ -22,7 +22,7 @@ from polemap.detect.features import NAMES
 from polemap.drivelog.columns import Columns
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.stereo.matching import StereoMatcher
 from polemap.track.disparity_offset import with_disparity
 from polemap.vehicle.pose import transform_points

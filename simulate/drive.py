@@ -22,13 +22,13 @@ from polemap.drivelog.writers.folder import FolderWriter, folder_writer, write_d
 from polemap.extras import check_installed
 from polemap.map.io import read_map, write_map
 from polemap.simulate import sensors
-from polemap.simulate.camera import SENSOR, expose, exposure_of, make_units
-from polemap.simulate.camera_pose import camera_poses
+from polemap.simulate.camera_mounting import camera_poses
 from polemap.simulate.config import SimulateConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.driver import Motion, drive_route
 from polemap.simulate.dynamics import CAR
 from polemap.simulate.faults import age_map, apply_faults
+from polemap.simulate.image_sensor import SENSOR, expose, exposure_of, make_units
 from polemap.simulate.render import Renderer, RenderOptions, View
 from polemap.simulate.route import Route, make_route
 from polemap.simulate.scenario import Scenario, load_scenario

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from polemap.drivelog.drive import Drive
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.simulate.drive_fault import DriveFault
 from polemap.simulate.frame_faults import (
     BlurredFrames,

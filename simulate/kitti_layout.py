@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import rotation
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 Share = Annotated[float, Field(ge=0, le=1)]

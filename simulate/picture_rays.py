@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.simulate.camera_pose import CameraPose
+from polemap.simulate.camera_mounting import CameraPose
 from polemap.simulate.raycast import Caster, Hits
 from polemap.stereo.rig import StereoRig
 

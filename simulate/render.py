@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.simulate.camera_pose import CameraPose
+from polemap.simulate.camera_mounting import CameraPose
 from polemap.simulate.lighting import make_lighting
 from polemap.simulate.mesh import Mesh
 from polemap.simulate.picture_rays import cast_picture, picture_rays, rays_through

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.io import write_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.simulate.driver import Motion
 from polemap.simulate.traffic import MOVER_ID
 from polemap.simulate.world import World

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from polemap.drivelog.detections import Detections, pole_detections
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 
 def plain_map(

@@ -11,7 +11,7 @@ import typer
 from polemap.drivelog.atomic import own_folder
 from polemap.tools import localize, simulate
 from polemap.tools import map as pole_maps
-from polemap.tools.options import ConfigOption, SeedOption, SetOption
+from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
 from polemap.tools.report import command as report
 
 WORLD = "park_loop"

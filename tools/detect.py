@@ -17,12 +17,12 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import PerceivedFrame, PolePerception, perceive_drive
 from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
 from polemap.tools.findings import require_plausible
-from polemap.tools.options import ConfigOption, ForceOption, SetOption
+from polemap.tools.option_types import ConfigOption, ForceOption, SetOption
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 from polemap.vehicle.pose import inverse_transform_points

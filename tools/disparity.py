@@ -17,7 +17,7 @@ from polemap.drivelog.samples import Image
 from polemap.settings import load_settings
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher
-from polemap.tools.options import ConfigOption, SetOption
+from polemap.tools.option_types import ConfigOption, SetOption
 
 _SCALE = 256.0
 _LARGEST = 256

@@ -24,9 +24,10 @@ from polemap.electric.identify import identify
 from polemap.electric.io import gps_from_truth, read_signal_log
 from polemap.electric.plausibility import check_log
 from polemap.electric.signals import Played, SignalLog
-from polemap.settings import first_problem, parse_item, read_tree
+from polemap.set_option import parse_set_option
+from polemap.settings import first_problem, read_tree
 from polemap.tools.findings import require_plausible
-from polemap.tools.options import ForceOption
+from polemap.tools.option_types import ForceOption
 from polemap.tools.progress import progress
 from polemap.vehicle.io import car_names, dump_car, load_car
 from polemap.vehicle.parameters import Car
@@ -174,7 +175,7 @@ def load_estimator_config(
     tree: dict[str, object] = {"step_s": round(float(np.median(np.diff(signals.stamp_s))), 6)}
     if config_file is not None:
         tree.update(read_tree(config_file))
-    tree.update(parse_item(item, "gyro_sd_radps=0.01") for item in set_values or [])
+    tree.update(parse_set_option(item, "gyro_sd_radps=0.01") for item in set_values or [])
     try:
         return EstimatorConfig.model_validate(tree)
     except ValidationError as error:

@@ -16,9 +16,9 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
 from polemap.errors import PolemapError
 from polemap.map.io import MAP_ENDINGS, read_map
-from polemap.map.landmark_map import PoleMap
 from polemap.map.plausibility import check_map, check_map_of_drive
-from polemap.tools.options import SeedOption
+from polemap.map.pole_map import PoleMap
+from polemap.tools.option_types import SeedOption
 from polemap.tools.plausible import find
 
 Floats = NDArray[np.float64]

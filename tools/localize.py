@@ -18,7 +18,7 @@ from polemap.settings import load_settings
 from polemap.tools.findings import require_plausible
 from polemap.tools.looking import Looked, Source, look
 from polemap.tools.monte_carlo import Replay, run_many, shared_runs
-from polemap.tools.options import ConfigOption, ForceOption, SeedOption, SetOption
+from polemap.tools.option_types import ConfigOption, ForceOption, SeedOption, SetOption
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 

@@ -20,7 +20,7 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.jobs import LocalWorkers, Workers
 from polemap.map.io import check_writable, export_map, read_map, write_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
 from polemap.tools.findings import require_plausible
 from polemap.tools.map_picture import (
@@ -30,7 +30,7 @@ from polemap.tools.map_picture import (
     write_localizability,
 )
 from polemap.tools.map_worker import observe_task, open_part, scan
-from polemap.tools.options import ConfigOption, ForceOption, SeedOption, SetOption
+from polemap.tools.option_types import ConfigOption, ForceOption, SeedOption, SetOption
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 

@@ -15,7 +15,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.evaluation.localizability import Localizability, drive_sensor, localizability
 from polemap.extras import check_installed
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
 
 Floats = NDArray[np.float64]

@@ -20,7 +20,7 @@ from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
 from polemap.evaluation.verdict import judge
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.json_text import read_json
 from polemap.settings import Settings
 from polemap.tools.looking import Looked, Source

@@ -6,8 +6,8 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding, worst_first
 from polemap.drivelog.plausibility.check import check_drive
 from polemap.drivelog.plausibility.pictures import check_pictures
-from polemap.map.landmark_map import PoleMap
 from polemap.map.plausibility import check_map, check_map_of_drive
+from polemap.map.pole_map import PoleMap
 
 
 def find(drive: Drive, pole_map: PoleMap | None = None) -> list[Finding]:

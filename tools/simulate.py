@@ -16,7 +16,7 @@ from polemap.simulate.drive import count_frames, simulate_drive
 from polemap.simulate.kitti_layout import write_kitti_odometry
 from polemap.simulate.kitti_raw_layout import write_kitti_raw
 from polemap.simulate.scenario import scenario_names
-from polemap.tools.options import ConfigOption, SeedOption, SetOption
+from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
 from polemap.tools.progress import progress
 
 

@@ -19,7 +19,7 @@ from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
 from polemap.settings import Settings, load_settings
 from polemap.stereo.matching import make_matcher
-from polemap.tools.options import ConfigOption, SetOption
+from polemap.tools.option_types import ConfigOption, SetOption
 from polemap.tools.progress import progress
 from polemap.training import (
     Judgement,

@@ -22,7 +22,7 @@ from polemap.drivelog.tum import read_tum
 from polemap.electric.io import read_mapping, read_signal_log
 from polemap.evaluation.runs.io import read_run_set
 from polemap.map.io import export_map, read_map, write_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.arrays import read_arrays
 from polemap.settings import load_settings
 from polemap.simulate.kitti_layout import write_kitti_odometry

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.simulate.config import DetectorConfig
 from polemap.simulate.points.drive import PointDrive, PointScenario, simulate_points
 from polemap.simulate.points.motion import (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.campaign.drives import STREET, Case, blind, car_park, street
 from polemap.drivelog.detections import Detections
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.simulate.map_faults import with_extra_poles, without_poles
 from polemap.simulate.points.motion import WindingRoad
 from polemap.simulate.stream_faults import GnssOffset, OdometryDropout

@@ -19,10 +19,15 @@ from polemap.drivelog.detections import Detections, VisibleRegion, pole_detectio
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import OdometrySample
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.particle_filter.assignment import assign, pair_gains, pole_log_likelihood
+from polemap.localize.particle_filter.assignment import assign
 from polemap.localize.particle_filter.filter import ParticleFilter
-from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
-from polemap.map.landmark_map import PoleMap
+from polemap.localize.particle_filter.landmarks import Landmarks
+from polemap.localize.particle_filter.sensor_model import (
+    PoleModel,
+    pair_gains,
+    pole_log_likelihood,
+)
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import inverse_transform_points
 
 Floats = NDArray[np.float64]

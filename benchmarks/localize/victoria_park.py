@@ -29,7 +29,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import Run, replay
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import scan_drive
 from polemap.vehicle.trajectory import Trajectory
 

@@ -32,7 +32,7 @@ from polemap.drivelog.samples import Image, StereoFrame
 from polemap.evaluation.errors import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import replay
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import PolePerception
 from polemap.simulate.config import SimulateConfig
 from polemap.simulate.drive import Plan, Studio, make_plan, simulate_drive

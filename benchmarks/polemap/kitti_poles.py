@@ -20,7 +20,7 @@ from polemap.detect.models.io import read_classifier
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import PolePerception, perceive_drive
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher

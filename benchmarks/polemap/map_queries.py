@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.harness import summary
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.io import read_map, write_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 POLES = 10_000_000
 RADIUS_M = 30.0

@@ -28,7 +28,7 @@ from polemap.config import PolemapConfig
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import StereoFrame
 from polemap.evaluation.detections import FrameRecord, match, record, score_frames, score_tracks
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import PerceivedFrame, PolePerception
 from polemap.simulate.truth import true_map
 from polemap.stereo.rig import StereoRig

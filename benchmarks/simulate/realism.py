@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from benchmarks.harness import RECORDINGS
 from benchmarks.simulate.registration import Windows, register, together
 from benchmarks.stereo.pairs import read_grey, read_truth
-from polemap.simulate.config import RenderConfig, SimulateConfig, kitti_camera
+from polemap.simulate.camera_mounting import kitti_camera
+from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.drive import Studio, make_plan
 from polemap.simulate.render import View
 from polemap.simulate.scenario import load_scenario, scenario_names

@@ -23,7 +23,8 @@ from polemap.config import PolemapConfig
 from polemap.detect.classifier import PoleClassifier
 from polemap.drivelog.drive import open_drive
 from polemap.map.io import read_map
-from polemap.simulate.config import SimulateConfig, kitti_camera
+from polemap.simulate.camera_mounting import kitti_camera
+from polemap.simulate.config import SimulateConfig
 from polemap.simulate.drive import simulate_drive
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher

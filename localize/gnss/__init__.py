@@ -1,6 +1,6 @@
 """GNSS for both filters.
 
-`receiver.py` holds what is known of the receiver: antenna, noise by HDOP, outliers. A fix enters
+`outlier_mixture.py` is the receiver's error model: antenna, noise by HDOP, outliers. A fix enters
 
 - the particle filter: `alignment.py` lays the path of the odometry onto the recent fixes, which
   says where to start or to look; `particle_weights.py` weighs the particles;

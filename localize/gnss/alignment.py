@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.vehicle.pose import rigid_fit, rotate, rotation, transform_points, wrap_angle
 
 Floats = NDArray[np.float64]
 
 _SPACING_S = 0.5
 _MOST_FIXES = 60
-_OUTLIER_SD = 3.0
+_INLIER_GATE_SD = 3.0
 _SHORT_TERM_SHARE = 0.5  # the part of the receiver's error that differs from fix to fix
 _STRAY_S = 2.0
 _DRIFT_SHARE = 0.02
@@ -124,7 +124,7 @@ class GnssAlignment:
             yaw, yaw_sd = 0.0, np.inf
             offset = fixes - path
             shift = np.median(offset, axis=0)
-            kept = np.hypot(*(offset - shift).T) < _OUTLIER_SD * sd
+            kept = np.hypot(*(offset - shift).T) < _INLIER_GATE_SD * sd
         known = yaw_sd < 0.35
         if not known:
             return self._unknown_heading(fixes, path, sd, odometry_pose), kept
@@ -180,8 +180,8 @@ def _best_rotation(
     predicted = rotate(path[None] - path[i][:, None], yaw[:, None]) + fixes[i][:, None]
     error2 = ((predicted - fixes[None]) ** 2).sum(axis=-1)
     scaled = error2 / tolerance**2
-    best = int(np.argmin(np.minimum(scaled, _OUTLIER_SD**2).sum(axis=1)))
-    return float(yaw[best]), scaled[best] < _OUTLIER_SD**2
+    best = int(np.argmin(np.minimum(scaled, _INLIER_GATE_SD**2).sum(axis=1)))
+    return float(yaw[best]), scaled[best] < _INLIER_GATE_SD**2
 
 
 def _refine(
@@ -201,5 +201,5 @@ def _refine(
         information = float(weight @ (lever**2).sum(axis=1)) / 4.0
         yaw_sd = max(float(1.0 / np.sqrt(max(information, 1e-9))), 0.02)
         error = np.hypot(*(transform_points(fit, path) - fixes).T)
-        kept = error < _OUTLIER_SD * tolerance
+        kept = error < _INLIER_GATE_SD * tolerance
     return yaw, shift, yaw_sd, kept

@@ -10,7 +10,7 @@ from math import inf
 
 import numpy as np
 
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.output_filter.rejection import weigh_by_gnss
 from polemap.localize.output_filter.state import FilterState, GnssEvent
 from polemap.vehicle.kalman import innovate, joseph_update

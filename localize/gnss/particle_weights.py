@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.vehicle.pose import relative
 

@@ -8,7 +8,7 @@ from math import hypot, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.output_filter.state import PoseUpper
 from polemap.vehicle.packed import Pose, ctrv_step, transform_point, wrap
 from polemap.vehicle.pose import rigid_fit, transform_points

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.gnss.ekf_update import update_by_gnss
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.start import GnssStart
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.noise_model import NoiseModel

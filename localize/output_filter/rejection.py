@@ -14,7 +14,7 @@ from math import hypot, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.state import (
     NEVER,

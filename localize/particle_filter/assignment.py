@@ -1,4 +1,4 @@
-"""Optimal one-to-one association of seen poles with map poles, for one pose or all particles.
+"""Optimal one-to-one assignment (Jonker and Volgenant), of one problem or of many.
 
 The C++ kernel does the work where it was built; plain numpy and scipy say the same, slowly, and
 are the tests' oracle.
@@ -6,16 +6,11 @@ are the tests' oracle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-
-from polemap.drivelog.detections import Detections, VisibleRegion
-from polemap.localize.particle_filter.landmarks import Landmarks, PoleModel
-from polemap.vehicle.pose import inverse_transform_points, rotate_covariance, transform_points
 
 try:
     from polemap.localize.particle_filter.native import assignment_kernel
@@ -24,8 +19,11 @@ try:
 except ImportError:  # no compiler at install time: the scipy path serves
     HAVE_KERNEL = False
 
+__all__ = ["HAVE_KERNEL", "Backend", "assign", "assignment_kernel", "use_kernel"]
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
 Backend = Literal["auto", "native", "scipy"]
 
 
@@ -56,14 +54,19 @@ def assign(
     price = np.ascontiguousarray(
         np.broadcast_to(np.asarray(unassigned, dtype=np.float64), stacked.shape[:2])
     )
-    if _use_kernel(backend):
+    if use_kernel(backend):
         totals, matches = assignment_kernel.assign_batch(stacked, price)
     else:
         totals, matches = _assign_scipy(stacked, price)
     return (totals[0], matches[0]) if single else (totals, matches)
 
 
-def _use_kernel(backend: Backend) -> bool:
+def use_kernel(backend: Backend) -> bool:
+    """Whether the C++ kernel does the work.
+
+    Raises:
+        ValueError: it was asked for, and was not built.
+    """
     if backend == "native" and not HAVE_KERNEL:
         raise ValueError("the assignment kernel was not built; use the backend 'scipy'")
     return HAVE_KERNEL and backend != "scipy"
@@ -86,159 +89,3 @@ def _assign_scipy(costs: Floats, unassigned: Floats) -> tuple[Floats, Ints]:
         totals[b] = padded[row, column].sum()
         matches[b, row] = np.where(column < columns, column, -1)
     return totals, matches
-
-
-@dataclass(frozen=True, slots=True)
-class PoseLikelihoods:
-    """What a scan says about each of n poses.
-
-    Attributes:
-        log_likelihood: `(n,)`, relative to a scan that is all clutter in a world without poles.
-        log_fit: `(n,)` sum of `-d / 2` over the matched pairs, with d of equation (7); at most 0.
-        expected: `(n,)` detections of map poles to be hoped for in the view.
-        matched: `(n,)` pairs of the optimal assignment.
-        assignment: `(n, z)` landmark of every seen pole, -1 for clutter; `(0, z)` if not asked for.
-    """
-
-    log_likelihood: Floats
-    log_fit: Floats
-    expected: Floats
-    matched: Ints
-    assignment: Ints
-
-
-def pole_log_likelihood(
-    poses: Floats,
-    scan: Detections,
-    landmarks: Landmarks,
-    model: PoleModel,
-    *,
-    view: VisibleRegion | None = None,
-    want_assignment: bool = False,
-    backend: Backend = "auto",
-    threads: int = 1,
-) -> PoseLikelihoods:
-    """Log-likelihood of a scan for each of many poses under the optimal one-to-one assignment.
-
-    A pair of pole z and landmark l is worth `log(p_D N(z; l, S / beta_p) N(width) / kappa)`, with
-    `S = S_z + S_l`, less the price `log(1 - p_D)` of a miss that it saves when l is in view; the
-    assignment of the highest sum counts, and pairs that are worth less than none are left out.
-    Misses are counted for landmarks inside `view` only, and count less towards the limit R of its
-    range, which is no wall: by the factor `1 - (r / R)^2`.
-
-    Args:
-        poses: `(n, 3)` of the vehicle (rear axle) in the map.
-        view: where the sensor could have seen a pole; None charges no misses.
-
-    Raises:
-        ValueError: a pose, position or covariance is not finite.
-
-    Source: Spangenberg (2016), equations (7) and (8).
-    """
-    covariance, log_gain = _prepared(scan, model)
-    if _use_kernel(backend):
-        sector = np.zeros(5)
-        free_range = np.empty(0)
-        if view is not None:
-            sector[:2] = view.origin_vehicle_m
-            sector[2:] = (view.bearing_min_rad, view.bearing_max_rad, view.range_min_m)
-            free_range = view.free_range_m
-        return PoseLikelihoods(
-            *assignment_kernel.pole_log_likelihood(
-                poses,
-                scan.points_vehicle_m.reshape(-1, 2),
-                covariance,
-                scan.width_m,
-                log_gain,
-                landmarks.points_m,
-                landmarks.covariance_m2,
-                landmarks.width_m,
-                landmarks.detection,
-                sector,
-                free_range,
-                model.beta_p,
-                model.width_sd_m,
-                model.log_width_gain,
-                want_assignment,
-                threads,
-            )
-        )
-    return _likelihood_scipy(np.asarray(poses), scan, landmarks, model, view, want_assignment)
-
-
-def _prepared(scan: Detections, model: PoleModel) -> tuple[Floats, Floats]:
-    """Covariances `(z, 3)` with the floor, and the log factor of each pole against clutter."""
-    full = scan.covariance_m2.reshape(-1, 2, 2)
-    floor = model.position_floor_m**2
-    covariance = np.stack([full[:, 0, 0] + floor, full[:, 1, 1] + floor, full[:, 0, 1]], axis=1)
-    existence = np.clip(scan.probability, 1e-3, 1.0)
-    return covariance, np.asarray(np.log(existence / model.clutter_per_m2))
-
-
-def pair_gains(
-    pose: Floats,
-    scan: Detections,
-    landmarks: Landmarks,
-    model: PoleModel,
-    view: VisibleRegion | None,
-) -> tuple[Floats, Floats, Floats]:
-    """Worth and fit `(z, m)` of every pair for one pose, and how far `(m,)` are in view, 0 to 1."""
-    covariance, log_gain = _prepared(scan, model)
-    seen = transform_points(pose, scan.points_vehicle_m.reshape(-1, 2))
-    own = np.empty((len(seen), 2, 2))
-    own[:, 0, 0], own[:, 1, 1] = covariance[:, 0], covariance[:, 1]
-    own[:, 0, 1] = own[:, 1, 0] = covariance[:, 2]
-    mapped = np.empty((len(landmarks), 2, 2))
-    mapped[:, 0, 0], mapped[:, 1, 1] = landmarks.covariance_m2[:, 0], landmarks.covariance_m2[:, 1]
-    mapped[:, 0, 1] = mapped[:, 1, 0] = landmarks.covariance_m2[:, 2]
-    total = rotate_covariance(own, pose[2])[:, np.newaxis] + mapped[np.newaxis]
-    offset = landmarks.points_m[np.newaxis] - seen[:, np.newaxis]
-    mahalanobis2 = np.einsum("zmi,zmij,zmj->zm", offset, np.linalg.inv(total), offset)
-    log_hit, log_miss = np.log(landmarks.detection), np.log1p(-landmarks.detection)
-    width_error = (scan.width_m[:, np.newaxis] - landmarks.width_m) / model.width_sd_m
-    known = ~np.isnan(width_error)
-    fit = -0.5 * model.beta_p * mahalanobis2 - 0.5 * np.where(known, width_error, 0.0) ** 2
-    fade = np.zeros(len(landmarks))
-    if view is not None and len(landmarks):
-        local = inverse_transform_points(pose, landmarks.points_m)
-        distance = np.hypot(*(local - view.origin_vehicle_m).T)
-        fade = np.where(view.contains(local), 1 - (distance / view.free_range_m.max()) ** 2, 0.0)
-    gain = (
-        log_gain[:, np.newaxis]
-        + log_hit
-        + np.log(model.beta_p / (2 * np.pi))
-        - 0.5 * np.log(np.linalg.det(total))
-        + np.where(known, model.log_width_gain, 0.0)
-        + fit
-        - fade * log_miss
-    )
-    return gain, fit, fade
-
-
-def _likelihood_scipy(
-    poses: Floats,
-    scan: Detections,
-    landmarks: Landmarks,
-    model: PoleModel,
-    view: VisibleRegion | None,
-    want_assignment: bool,
-) -> PoseLikelihoods:
-    for name, values in (("poses", poses), ("points", scan.points_vehicle_m)):
-        if not np.isfinite(values).all():
-            raise ValueError(f"{name} holds a value that is not finite")
-    count = len(poses)
-    log_likelihood, log_fit = np.empty(count), np.empty(count)
-    assignment = np.full((count, len(scan)), -1, dtype=np.int32)
-    expected = np.empty(count)
-    log_miss = np.log1p(-landmarks.detection)
-    for i, pose in enumerate(poses):
-        gain, fit, fade = pair_gains(pose, scan, landmarks, model, view)
-        total, assignment[i] = assign(-gain, 0.0, backend="scipy")
-        matched_row = np.flatnonzero(assignment[i] >= 0)
-        log_likelihood[i] = fade @ log_miss - float(total)
-        log_fit[i] = fit[matched_row, assignment[i, matched_row]].sum()
-        expected[i] = fade @ landmarks.detection
-    # a pair of gain 0 ties with none; the kernel leaves it out, and so does the count
-    matched = (assignment >= 0).sum(axis=1).astype(np.int32)
-    kept = assignment if want_assignment else assignment[:0]
-    return PoseLikelihoods(log_likelihood, log_fit, expected, matched, kept)

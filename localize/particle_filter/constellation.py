@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from polemap.localize.particle_filter.recent_poles import REMEMBERED_M
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import rigid_fit, transform_points, wrap_angle
 
 Floats = NDArray[np.float64]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.gnss.alignment import GnssPose
-from polemap.localize.particle_filter.assignment import PoseLikelihoods
 from polemap.localize.particle_filter.constellation import LOG_ODDS_A_POLE, Candidates
+from polemap.localize.particle_filter.sensor_model import PoseLikelihoods
 
 Floats = NDArray[np.float64]
 

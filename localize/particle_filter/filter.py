@@ -7,13 +7,14 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.detections import Detections, LandmarkKind
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.calibration import OdometryCalibration, OdometryCorrection
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.contradictions import Held
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.particle_weights import FixWeights
-from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.particle_filter.estimate import (
     Event,
@@ -29,13 +30,13 @@ from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.motion_noise import NoiseScale
 from polemap.localize.particle_filter.odometry_trust import OdometryTrust
 from polemap.localize.particle_filter.particles import ParticleSet, effective_count, log_mean
-from polemap.localize.particle_filter.recovery import Recovery, Step
-from polemap.localize.particle_filter.sensor_model import (
+from polemap.localize.particle_filter.pole_weigher import (
     PoleWeigher,
     independent_share,
     tempered,
 )
-from polemap.map.landmark_map import PoleMap
+from polemap.localize.particle_filter.recovery import Recovery, Step
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 # share of the first scan that counts: particles from a start are few for a sharp scan

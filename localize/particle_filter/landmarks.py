@@ -1,4 +1,4 @@
-"""What a scan's poles are held against: the map's poles as arrays, and how the two relate."""
+"""What a scan's poles are held against: the map's poles around the car as arrays."""
 
 from __future__ import annotations
 
@@ -7,36 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 
 _LARGEST_DETECTION = 0.999
-
-
-@dataclass(frozen=True, slots=True)
-class PoleModel:
-    """How seen poles relate to map poles.
-
-    Attributes:
-        beta_p: weight of the position term against the width term.
-        width_sd_m: expected deviation of a seen width from the mapped one.
-        clutter_per_m2: intensity of the Poisson process of false poles, on the ground.
-        clutter_width_span_m: false poles are as likely at any width within this span.
-        position_floor_m: standard deviation added to every scan position; what the detector's
-            own covariance does not know (calibration, a trunk that is no line).
-    """
-
-    beta_p: float = 1.0
-    width_sd_m: float = 0.15
-    clutter_per_m2: float = 1e-3
-    clutter_width_span_m: float = 1.0
-    position_floor_m: float = 0.05
-
-    @property
-    def log_width_gain(self) -> float:
-        """Log ratio of the width densities of a right pair at zero error and of clutter."""
-        return float(np.log(self.clutter_width_span_m / (np.sqrt(2 * np.pi) * self.width_sd_m)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.samples import GnssFix
 from polemap.localize.config import RecoveryConfig
 from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.particle_weights import MAX_AGE_S
-from polemap.localize.gnss.receiver import GnssReceiver
 from polemap.localize.particle_filter.constellation import (
     Against,
     Candidates,
@@ -20,7 +20,7 @@ from polemap.localize.particle_filter.estimate import position_sd
 from polemap.localize.particle_filter.exploration import draw_poses
 from polemap.localize.particle_filter.health import Verdict
 from polemap.localize.particle_filter.recent_poles import RecentPoles
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 

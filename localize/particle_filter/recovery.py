@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections
 from polemap.localize.config import RecoveryConfig
 from polemap.localize.contradictions import UnmatchedPoles
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.particle_filter.estimate import Event
 from polemap.localize.particle_filter.exploration import LikelihoodAverages
 from polemap.localize.particle_filter.health import LostDetector, StartProof, Verdict
 from polemap.localize.particle_filter.particles import ParticleSet
 from polemap.localize.particle_filter.place_search import PlaceSearch
-from polemap.localize.particle_filter.sensor_model import Match, PoleWeigher
-from polemap.map.landmark_map import PoleMap
+from polemap.localize.particle_filter.pole_weigher import Match, PoleWeigher
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from polemap.drivelog.errors import FrameError
 from polemap.localize import localizer as live
 from polemap.localize import replay as replays
 from polemap.localize.config import for_car
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from polemap.build import build_map as building
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 

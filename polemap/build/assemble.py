@@ -20,7 +20,7 @@ from polemap.build.merge import Merged
 from polemap.build.registration import NO_SHIFT, Shift, register
 from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.landmark_map import PoleMap, join_maps
+from polemap.map.pole_map import PoleMap, join_maps
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]

@@ -12,7 +12,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Scan = Callable[[Drive], Sequence[Detections]]
 

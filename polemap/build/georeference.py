@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from polemap.build.config import MappingConfig
 from polemap.drivelog.columns import Columns
-from polemap.drivelog.detections import Detections, LandmarkKind, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, convergence_rad, transform_points
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.pose import inverse_transform_points, rotate, rotate_covariance, wrap_angle
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from polemap.build.existence import Evidence
 from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.errors import InputError
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError, short
 from polemap.parsing.json_text import parse_json
 

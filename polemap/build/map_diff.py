@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from polemap.build.registration import NO_SHIFT, Shift, register
 from polemap.drivelog.frames import require_same_frame
-from polemap.map.landmark_map import PoleMap, join_maps
+from polemap.map.pole_map import PoleMap, join_maps
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]

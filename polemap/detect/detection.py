@@ -27,7 +27,8 @@ from polemap.detect.ground import Ground, fit_ground
 from polemap.detect.hypotheses import Hypotheses, find_hypotheses, find_slices
 from polemap.detect.refine import refine_disparity
 from polemap.detect.visibility import visible_region
-from polemap.drivelog.detections import Detections, LandmarkKind, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.samples import StereoFrame
 from polemap.stereo.depth_edges import DepthEdges, depth_edges, upright_maps
 from polemap.stereo.matching import DisparityPair

@@ -28,7 +28,7 @@ from polemap.extras import check_installed, need
 from polemap.map.formats import geojson, opendrive, osm, qgis
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.formats.layers import placed, points_only, split_columns
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.json_text import parse_json, read_json
 from polemap.parsing.text import MEGABYTE, read_bytes

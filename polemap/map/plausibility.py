@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 

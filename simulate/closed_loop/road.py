@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.electric.control.path import Path
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.simulate.points.drive import FRAME
 from polemap.simulate.points.poles import Poles, roadside_poles
 

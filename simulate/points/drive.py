@@ -18,7 +18,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import Sample
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.simulate import sensors
 from polemap.simulate.config import DetectorConfig, GnssConfig, OdometryConfig
 from polemap.simulate.detector import PoleDetector

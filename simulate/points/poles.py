@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from polemap.simulate.config import CameraConfig, RenderConfig, SimulateConfig
+from polemap.simulate.camera_mounting import CameraConfig
+from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.drive import simulate_drive
 from polemap.simulate.scenario import Scenario
 

@@ -14,7 +14,7 @@ from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.writers.folder import write_drive
 from polemap.evaluation.run_metrics import run_metrics
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.stereo.errors import StereoError
 from polemap.stereo.rig import StereoRig
 from polemap.tools import cli

@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from polemap.drivelog.columns import Columns, column_names
-from polemap.drivelog.detections import Detections, LandmarkKind, pole_detections
+from polemap.drivelog.detections import Detections, pole_detections
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 
 

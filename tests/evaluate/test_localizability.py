@@ -16,7 +16,7 @@ from polemap.evaluation.localizability import (
     localizability,
     scans_sensor,
 )
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.stereo.rig import Mounting, StereoRig
 from tests.polemap.map.test_map_io import LOCAL, make_map
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from tests.pole_maps import plain_map
 
 

@@ -19,7 +19,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.evaluation.detections import evidence, match, record, score_frames, score_tracks
 from polemap.map.io import read_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.perception import PolePerception, perceive_drive, scan_drive
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, make_matcher

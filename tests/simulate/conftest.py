@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from polemap.simulate.config import CameraConfig, RenderConfig, SimulateConfig
+from polemap.simulate.camera_mounting import CameraConfig
+from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.scenario import Scenario
 from polemap.simulate.world import World, make_world
 

@@ -11,7 +11,8 @@ import pytest
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
-from polemap.simulate.config import SimulateConfig, kitti_camera
+from polemap.simulate.camera_mounting import kitti_camera
+from polemap.simulate.config import SimulateConfig
 from polemap.simulate.drive import simulate_drive
 from polemap.simulate.kitti_layout import write_kitti_odometry
 from polemap.simulate.kitti_raw_layout import write_kitti_raw

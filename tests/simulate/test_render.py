@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from polemap.simulate.camera_pose import CameraPose, camera_poses
+from polemap.simulate.camera_mounting import CameraPose, camera_poses
 from polemap.simulate.materials import TILES
 from polemap.simulate.mesh import box, cylinder, join, quads
 from polemap.simulate.picture_rays import cast_picture, picture_rays, rays_through

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import polemap.simulate.render as render
-from polemap.simulate.camera_pose import camera_poses
+from polemap.simulate.camera_mounting import camera_poses
 from polemap.simulate.materials import TILES
 from polemap.simulate.mesh import box
 from polemap.simulate.render import Renderer, RenderOptions, View

@@ -14,7 +14,7 @@ from polemap.drivelog.drive import Lap
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.writers.folder import folder_writer
 from polemap.map.io import read_map, write_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.tools.cli import run
 from tests.polemap.town import FRAME, Town, drive_through, make_town, route
 

@@ -18,7 +18,7 @@ from polemap.evaluation.results import RouteResult
 from polemap.evaluation.route import evaluate_route, route_systems
 from polemap.evaluation.routes import Route
 from polemap.evaluation.runs.io import read_run_set
-from polemap.tools.options import SeedOption
+from polemap.tools.option_types import SeedOption
 from polemap.tools.progress import progress
 from polemap.tools.report.sweep_output import sweep_output
 from polemap.tools.report.sweep_spec import parse_sweep

@@ -12,7 +12,7 @@ from polemap.evaluation.localizability import (
     localizability,
 )
 from polemap.evaluation.results import RouteResult
-from polemap.localize.particle_filter.sensor_model import default_view
+from polemap.localize.particle_filter.pole_weigher import default_view
 from polemap.tools.report.sweep_spec import settings_of
 
 STEP_M = 4.0

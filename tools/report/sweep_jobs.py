@@ -20,7 +20,7 @@ from polemap.evaluation.run_metrics import run_metrics
 from polemap.evaluation.runs.io import Run
 from polemap.localize.replay import replay
 from polemap.map.io import read_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.json_text import parse_json

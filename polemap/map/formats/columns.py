@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]

@@ -22,7 +22,7 @@ from polemap.drivelog.frames import (
     utm_frame,
 )
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 # further than the earth reaches round

@@ -15,7 +15,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.formats import geojson
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.json_text import parse_json
 from polemap.parsing.text import decoded
 

@@ -13,7 +13,7 @@ import numpy as np
 from pyproj import CRS
 
 from polemap.drivelog.errors import InputError
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import rotate_back
 
 _DEFAULT_WIDTH_M, _DEFAULT_HEIGHT_M = 0.2, 3.0

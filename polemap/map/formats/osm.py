@@ -20,7 +20,7 @@ from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.extras import need
 from polemap.map.formats.geojson import from_inventory
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.parsing.text import decoded
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,7 @@ import pytest
 from polemap.drivelog.samples import GnssFix
 from polemap.localize.config import GnssConfig
 from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.vehicle.pose import wrap_angle
 
 RECEIVER = GnssReceiver((1.2, 0.3))

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.start import GnssStart
 from polemap.vehicle.motion import move_along_arc
 from polemap.vehicle.pose import wrap_angle

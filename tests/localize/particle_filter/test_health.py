@@ -7,13 +7,13 @@ import pytest
 from pydantic import ValidationError
 
 from polemap.localize.config import KldConfig, LocalizeConfig, RecoveryConfig
-from polemap.localize.particle_filter.assignment import PoseLikelihoods
 from polemap.localize.particle_filter.exploration import (
     LikelihoodAverages,
     Quality,
     normalized_quality,
 )
 from polemap.localize.particle_filter.health import LostDetector
+from polemap.localize.particle_filter.sensor_model import PoseLikelihoods
 
 
 def feed(lost: LostDetector, start_s: float, seconds: float, **values: float) -> None:

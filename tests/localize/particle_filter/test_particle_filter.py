@@ -15,7 +15,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.samples import GnssFix, OdometrySample, Sample
 from polemap.localize.config import KldConfig, LocalizeConfig, OdometryConfig
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.simulate.points.drive import WHEELBASE_M, simulate_points

@@ -12,7 +12,7 @@ from polemap.drivelog.samples import OdometrySample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.simulate.config import DetectorConfig
 from polemap.simulate.points.drive import simulate_points
 from polemap.simulate.points.motion import WindingRoad

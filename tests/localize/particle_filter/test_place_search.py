@@ -7,11 +7,11 @@ import numpy as np
 from polemap.drivelog.samples import GnssFix
 from polemap.localize.config import RecoveryConfig
 from polemap.localize.gnss.alignment import GnssPose
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.particle_filter.constellation import Candidates
 from polemap.localize.particle_filter.exploration import draw_poses
 from polemap.localize.particle_filter.place_search import PlaceSearch
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
 from tests.localize.streets import seen_from, street, twice
 from tests.pole_maps import plain_scan

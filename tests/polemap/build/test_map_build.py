@@ -20,7 +20,7 @@ from polemap.config import PolemapConfig
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from tests.polemap.town import FRAME, DriveThrough, Town, drive_through, make_town, passed, route
 
 BLOCKS = 2

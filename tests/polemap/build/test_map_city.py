@@ -24,7 +24,7 @@ from polemap.build.config import MappingConfig
 from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.jobs import LocalWorkers
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from tests.polemap.build import city_tasks
 from tests.polemap.town import FRAME
 

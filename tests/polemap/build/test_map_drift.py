@@ -14,7 +14,7 @@ from polemap.build.drift import KNOT_S, _prior, measure_drift
 from polemap.build.drive_observations import DriveObservations
 from polemap.build.registration import register
 from polemap.build.traversals import TraversalLandmarks
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from tests.polemap.build.test_map_build import BLOCKS, observed, score
 from tests.polemap.town import FRAME, Town, drive_through, make_town, route
 

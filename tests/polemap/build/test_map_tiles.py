@@ -17,7 +17,7 @@ from polemap.build.history import open_history
 from polemap.build.map_diff import match_points
 from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.errors import InputError
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from tests.polemap.town import FRAME, drive_through, make_town, route
 
 CONFIG = MappingConfig()

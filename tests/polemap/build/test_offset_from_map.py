@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polemap.build.offset_from_map import offset_from_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 from polemap.stereo.rig import Mounting, StereoRig
 from polemap.track.disparity_offset import with_disparity
 from polemap.vehicle.pose import inverse_transform_points

@@ -17,8 +17,8 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.map.formats.osm import from_xml
 from polemap.map.io import read_map, write_map
-from polemap.map.landmark_map import PoleMap
 from polemap.map.plausibility import check_map
+from polemap.map.pole_map import PoleMap
 from tests.pole_maps import plain_map
 
 

@@ -18,7 +18,7 @@ from hypothesis.extra import numpy as hnp
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid, point_scale
 from polemap.map.io import MAP_ENDINGS, check_writable, read_map, write_map
-from polemap.map.landmark_map import PoleMap
+from polemap.map.pole_map import PoleMap
 
 UTM = EarthFrame("utm", 32632)
 LOCAL = EarthFrame("local", name="yard")

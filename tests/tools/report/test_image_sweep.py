@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from polemap.evaluation.runs.io import read_run_set
-from polemap.simulate.config import CameraConfig, OdometryConfig, RenderConfig, SimulateConfig
+from polemap.simulate.camera_mounting import CameraConfig
+from polemap.simulate.config import OdometryConfig, RenderConfig, SimulateConfig
 from polemap.simulate.drive import simulate_drive
 from polemap.simulate.scenario import Scenario
 from polemap.tools import cli

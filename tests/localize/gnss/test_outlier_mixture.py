@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from polemap.localize.config import GnssConfig
-from polemap.localize.gnss.receiver import GnssReceiver
+from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.vehicle.pose import compose, transform_points
 
 RECEIVER = GnssReceiver((1.2, -0.4), GnssConfig(sd_m=3.0))

@@ -1,4 +1,4 @@
-"""What both filters know about a GNSS receiver: antenna, noise by HDOP, outliers."""
+"""Error model of a GNSS receiver, for both filters: antenna, noise by HDOP, outlier mixture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 # a lower HDOP than this says more about the receiver's arithmetic than about its error
 _HDOP_FLOOR = 0.5
 # an outlier's standard deviation, in those of a good fix: 50 m at the default
-_OUTLIER_SD = 20.0
+_WIDE_SD_RATIO = 20.0
 # share of fixes that say nothing, in a sum of evidence: bounds what a single fix can say
 _SILENT_SHARE = 0.02
 
@@ -41,7 +41,7 @@ class GnssReceiver:
     def mixture(self, distance2: Floats) -> Floats:
         """Log of a Gaussian at squared distances `(n,)` in standard deviations, mixed with a wide
         one, so that an outlier of a hundred metres says nothing; up to a constant."""
-        share, wide = self.config.outlier_share, _OUTLIER_SD**2
+        share, wide = self.config.outlier_share, _WIDE_SD_RATIO**2
         near = np.log1p(-share) - 0.5 * distance2
         return np.asarray(np.logaddexp(near, np.log(share / wide) - 0.5 * distance2 / wide))
 

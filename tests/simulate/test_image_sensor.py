@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polemap.simulate.camera import CameraUnit, ImageSensor, expose, exposure_of, make_units
-from polemap.simulate.config import CameraConfig
+from polemap.simulate.camera_mounting import CameraConfig
+from polemap.simulate.image_sensor import CameraUnit, ImageSensor, expose, exposure_of, make_units
 
 FLAT = ImageSensor(blur_px=0.0, vignetting=0.0, fixed_pattern=0.0, tone_exponent=1.0)
 SHAPE = (200, 300)

@@ -1,4 +1,4 @@
-"""The pole map: landmarks in one earth frame behind a KD-tree."""
+"""The pole map: poles in one earth frame behind a KD-tree."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import Image
-from polemap.simulate.config import CameraConfig
+from polemap.simulate.camera_mounting import CameraConfig
 
 Floats32 = NDArray[np.float32]
 

@@ -1,4 +1,4 @@
-"""Options that several verbs share."""
+"""Command-line options that several verbs share, declared once; `set_option.py` reads `--set`."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from polemap.drivelog.detections import VisibleRegion
 from polemap.drivelog.errors import InputError
-from polemap.map.landmark_map import PoleMap, join_maps
+from polemap.map.pole_map import PoleMap, join_maps
 from tests.polemap.map.test_map_io import LOCAL, make_map
 
 

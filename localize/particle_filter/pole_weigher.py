@@ -1,0 +1,149 @@
+"""The sensor model applied to all particles: the map poles in reach, and the share of a scan that
+counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.localize.config import LocalizeConfig, PolesConfig
+from polemap.localize.particle_filter.landmarks import Landmarks
+from polemap.localize.particle_filter.particles import effective_count, normalized
+from polemap.localize.particle_filter.sensor_model import (
+    PoleModel,
+    PoseLikelihoods,
+    pole_log_likelihood,
+)
+from polemap.map.pole_map import PoleMap
+from polemap.vehicle.pose import inverse_transform_points
+
+Floats = NDArray[np.float64]
+
+_CELL_M = 20.0
+
+
+def default_view(config: PolesConfig) -> VisibleRegion:
+    """The sector that is taken for a sensor that does not say where it looked."""
+    return VisibleRegion(
+        origin_vehicle_m=np.zeros(2),
+        bearing_min_rad=-config.view_half_angle_rad,
+        bearing_max_rad=config.view_half_angle_rad,
+        range_min_m=0.0,
+        free_range_m=np.array([config.view_range_m]),
+    )
+
+
+def reach_of(scan: Detections, view: VisibleRegion) -> float:
+    """Distance from the rear axle beyond which no map pole can matter to the scan."""
+    reach = float(np.hypot(*view.origin_vehicle_m)) + float(np.max(view.free_range_m))
+    if len(scan):
+        reach = max(reach, float(np.hypot(*scan.points_vehicle_m.T).max()))
+    return reach + 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """What one pose makes of a scan: matched poles, map poles in view, detections hoped for."""
+
+    matched: int
+    in_view: int
+    expected: float
+
+
+class PoleWeigher:
+    """Holds scans against a map: the map's arrays, the settings, and nothing that changes."""
+
+    def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
+        self._map = pole_map
+        self._p_detection = config.p_detection
+        self._model = PoleModel(
+            beta_p=config.beta_p,
+            width_sd_m=config.poles.width_sd_m,
+            clutter_per_m2=config.clutter_per_m2,
+            position_floor_m=config.poles.position_floor_m,
+        )
+        self._view = default_view(config.poles)
+        self._threads = config.threads
+
+    def near(self, rear_poses: Floats, scan: Detections) -> Landmarks:
+        """Map poles within reach of any of the poses `(n, 3)`; scattered ones ask by cells."""
+        reach = reach_of(scan, self._view_of(scan))
+        low, high = rear_poses[:, :2].min(axis=0), rear_poses[:, :2].max(axis=0)
+        half = float(np.hypot(*(high - low))) / 2
+        if half <= _CELL_M:
+            return self._landmarks(self._map.within((low + high) / 2, reach + half))
+        cells = np.unique(np.floor(rear_poses[:, :2] / _CELL_M).astype(np.int64), axis=0)
+        centres = (cells + 0.5) * _CELL_M
+        found = [self._map.within(centre, reach + 0.75 * _CELL_M) for centre in centres]
+        return self._landmarks(np.unique(np.concatenate(found)))
+
+    def _landmarks(self, rows: NDArray[np.int64]) -> Landmarks:
+        return Landmarks.of(self._map, self._p_detection, rows)
+
+    def weigh(
+        self, rear_poses: Floats, scan: Detections, landmarks: Landmarks | None = None
+    ) -> PoseLikelihoods:
+        """Likelihood of the scan for every rear-axle pose `(n, 3)`.
+
+        Source: Spangenberg (2016), equations (7) and (8).
+        """
+        return pole_log_likelihood(
+            rear_poses,
+            scan,
+            self.near(rear_poses, scan) if landmarks is None else landmarks,
+            self._model,
+            view=self._view_of(scan),
+            threads=self._threads,
+        )
+
+    def match(self, pose: Floats, scan: Detections, landmarks: Landmarks) -> Match:
+        """Match a scan from a single rear-axle pose `(3,)`."""
+        result = self.weigh(pose[np.newaxis], scan, landmarks)
+        local = inverse_transform_points(pose, landmarks.points_m)
+        in_view = int(self._view_of(scan).contains(local).sum())
+        return Match(int(result.matched[0]), in_view, float(result.expected[0]))
+
+    def _view_of(self, scan: Detections) -> VisibleRegion:
+        return scan.view if scan.view is not None else self._view
+
+
+def independent_share(moved_m: float, elapsed_s: float, config: PolesConfig) -> float:
+    """How much of a scan is independent of the last one, 0 to 1.
+
+    Errors of tracked stereo poles, and of the map, stay the same from one scan to the next, so n
+    scans are not n measurements. For errors whose correlation falls exponentially with the way (or
+    the time), a long row of scans is worth one independent scan for every two correlation
+    lengths; the likelihood of each is raised to that power, whatever the frame rate.
+    """
+    share = moved_m / (2.0 * config.correlation_m) + elapsed_s / (2.0 * config.correlation_s)
+    return float(min(1.0, share))
+
+
+def tempered(
+    log_weights: Floats, log_likelihood: Floats, share: float, min_effective: float
+) -> tuple[Floats, float]:
+    """Log-weights after `share` of the evidence, and what was used: less where that would leave
+    fewer than `min_effective` effective particles (wide-spread ones under a sharp measurement).
+    """
+
+    def after(part: float) -> Floats:
+        return np.asarray(log_weights + part * log_likelihood)
+
+    def enough(part: float) -> bool:
+        return effective_count(normalized(after(part))[0]) >= min_effective
+
+    if enough(share) or not enough(0.0):
+        return after(share), share
+    return after(used := _largest(enough, share)), used
+
+
+def _largest(good: Callable[[float], bool], upper: float) -> float:
+    low, high = 0.0, upper
+    for _ in range(8):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if good(middle) else (low, middle)
+    return low
