@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from polemap.drivelog.errors import InputError
 from polemap.parsing.errors import named
 from polemap.parsing.yaml_text import read_yaml
 
+LONGEST_NAME = 200
 _Finite = Field(allow_inf_nan=False)
+
+
+def printable(text: str) -> str:
+    """The text as it is: names go into reports, file names and onto the terminal.
+
+    Raises:
+        ValueError: it holds a control character.
+    """
+    if not text.isprintable():
+        wrong = next(letter for letter in text if not letter.isprintable())
+        raise ValueError(f"holds the character {wrong!a}, which cannot be printed")
+    return text
 
 
 class _Part(BaseModel):
@@ -76,13 +89,13 @@ class DriveYaml(_Part):
     """All of drive.yaml; keys that are not known are kept aside and noted."""
 
     format_version: Literal[1]
-    name: str = Field(min_length=1)
+    name: Annotated[str, Field(min_length=1, max_length=LONGEST_NAME), AfterValidator(printable)]
     frame: dict[str, Any]
     vehicle: VehiclePart
     camera: CameraPart | None = None
     gnss_antenna: AntennaPart | None = None
     pole_detector: DetectorPart | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Annotated[str, AfterValidator(printable)], ...] = ()
 
     def unknown_keys(self) -> list[str]:
         """Dotted names of the keys that nothing reads."""

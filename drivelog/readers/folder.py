@@ -13,7 +13,12 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
 from polemap.drivelog.images import ImagePairs
-from polemap.drivelog.readers.drive_yaml import CameraPart, VehiclePart, read_drive_yaml
+from polemap.drivelog.readers.drive_yaml import (
+    LONGEST_NAME,
+    CameraPart,
+    VehiclePart,
+    read_drive_yaml,
+)
 from polemap.drivelog.readers.poles import read_scans
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
@@ -246,6 +251,11 @@ def _laps(folder: Path, findings: list[Finding]) -> tuple[Lap, ...]:
     laps = []
     for row, name in enumerate(table.texts["lap"]):
         start, end = float(table["start_s"][row]), float(table["end_s"][row])
+        if not str(name).isprintable() or len(str(name)) > LONGEST_NAME:
+            raise InputError(
+                f"{path}, line {table.lines[row]}: lap {ascii(name)[:40]} is no name of up to "
+                f"{LONGEST_NAME} printable characters"
+            )
         if not start < end:
             raise InputError(f"{path}, line {table.lines[row]}: lap '{name}' ends before it starts")
         laps.append(Lap(str(name), start, end))

@@ -104,3 +104,18 @@ def test_a_trajectory_beyond_its_bounds_is_refused(index: int, tmp_path: Path) -
     (tmp_path / "a.tum").write_text(" ".join(values) + "\n")
     with pytest.raises(InputError, match=r"= 1e\+308; every value .* must be finite and at most"):
         read_tum(tmp_path / "a.tum")
+
+
+@pytest.mark.parametrize("name", ["a" * 201, "a\\0b", "red\\e[31m", "two\\nlines", ""])
+def test_a_name_that_cannot_be_printed_is_refused(name: str, tmp_path: Path) -> None:
+    drive = write_small(tmp_path / "drive")
+    edit(drive / "drive.yaml", "name: small", f'name: "{name}"')
+    with pytest.raises(InputError, match=r"drive.yaml: name: "):
+        open_drive(drive)
+
+
+def test_a_lap_that_cannot_be_printed_is_refused(tmp_path: Path) -> None:
+    drive = write_small(tmp_path / "drive")
+    edit(drive / "laps.csv", "two", "t\x1bwo")
+    with pytest.raises(InputError, match=r"line 3: lap 't\\x1bwo' is no name of up to 200"):
+        open_drive(drive)

@@ -49,20 +49,21 @@ def test_yaml_that_the_library_writes_is_read_with_its_aliases() -> None:
         ("[" * 33 + "]" * 33, "line 1: nested deeper than 32 levels"),
         ("[" * 100_000, "nested deeper than 32 levels"),
         ("a:\n  b:\n c: 1", "not YAML \\(line 3"),
-        ("a: " + "9" * 5000, "a value cannot be read|more than 40 digits"),
-        ("a: " + "9" * 41, "more than 40 digits"),
-        ("a: 2024-13-45", "a value cannot be read \\(month must be in 1..12"),
-        ("a: !!int x", "a value cannot be read"),
+        ("a:\n- " + "9" * 5000, "line 2: a number of 5000 digits, 40 are the most"),
+        ("a: " + "9" * 41, "a number of 41 digits"),
+        ("a: 0x" + "f" * 40, "a number of more than 40 digits"),
+        ("a: 1\nb: 2024-13-45", "line 2: 2024-13-45: month must be in 1..12"),
+        ("a: !!int x", "line 1: x: invalid literal"),
         ("a: !!binary x", "not YAML"),
         ("a: !!python/object:os.system {}", "not YAML"),
-        ("? [1, 2]\n: 3", "not YAML|a value cannot be read"),
+        ("? [1, 2]\n: 3", "not YAML"),
         ("a: \x07", "not YAML"),
         ("a: b\0c", "not YAML"),
         ("--- 1\n--- 2", "not YAML"),
         ("x: [" + "1, " * 100_001 + "1]", "more than 100000 values"),
     ],
 )
-@pytest.mark.parametrize("loader", [yaml.SafeLoader, yaml_text._Loader])
+@pytest.mark.parametrize("loader", [yaml_text._loader(yaml.SafeLoader), yaml_text._Loader])
 def test_dangerous_yaml_is_refused(
     text: str, message: str, loader: type, monkeypatch: pytest.MonkeyPatch
 ) -> None:
