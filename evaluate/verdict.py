@@ -16,8 +16,8 @@ from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 
-# shares of the scans whose pose was healthy; below the first not to be trusted, below the second
-# only in part
+# shares of the output, and of the scans, that were healthy: below the first a run is not to be
+# trusted, below the second only in part
 HEALTHY_NOT, HEALTHY_PARTLY = 0.5, 0.9
 # stretch without a matched pole after which the pose is dead reckoning
 WITHOUT_POLES_S = 15.0
@@ -33,13 +33,15 @@ def judge(run: Run, drive: Drive, pole_map: PoleMap | None) -> dict[str, Any]:
 
     `trust` is `trustworthy`, `partly` or `not`. NaN stands for what the drive does not show.
     """
-    healthy = np.array([update.estimate.healthy for update in run.updates], dtype=bool)
+    scans = np.array([update.estimate.healthy for update in run.updates], dtype=bool)
     matched = np.array([update.estimate.health.matched for update in run.updates], dtype=float)
     stamps = np.array([update.estimate.stamp_s for update in run.updates])
     order = np.argsort(stamps, kind="stable")
-    healthy, matched, stamps = healthy[order], matched[order], stamps[order]
+    matched, stamps = matched[order], stamps[order]
+    trusted = np.array([not reason for reason in run.distrust], dtype=bool)
     grounds = {
-        "healthy_share": float(healthy.mean()) if len(healthy) else 0.0,
+        "healthy_share": float(trusted.mean()) if len(trusted) else 0.0,
+        "healthy_scans_share": float(scans.mean()) if len(scans) else 0.0,
         "matched_poles_mean": float(matched.mean()) if len(matched) else 0.0,
         "position_sd_m": _stated(run),
         "longest_without_poles_s": _without_poles(stamps, matched, drive),
@@ -67,7 +69,7 @@ _WORDS = {
 def verdict_lines(verdict: dict[str, Any]) -> list[str]:
     """The verdict as `localize` ends with it."""
     facts = [
-        f"{100 * _mean(verdict, 'healthy_share'):.0f} % of the scans healthy",
+        f"{100 * _mean(verdict, 'healthy_share'):.0f} % of the drive healthy",
         f"{_mean(verdict, 'matched_poles_mean'):.1f} poles matched a scan",
         f"at most {_mean(verdict, 'longest_without_poles_s'):.1f} s without a matched pole",
     ]
@@ -107,14 +109,17 @@ _ENTRY = re.compile(r'"drive":("(?:[^"\\]|\\.)*"),"start_s":([-+.0-9eE]+)')
 
 def _weigh(grounds: dict[str, float], *, with_map: bool) -> tuple[str, list[str]]:
     """What the grounds say, and the reasons that decide."""
-    bad, doubtful = [], []
+    bad: list[str] = []
+    doubtful: list[str] = []
     share, fixes = grounds["healthy_share"], grounds["fixes_to_pose_m"]
     if with_map:
-        text = f"{100 * share:.0f} % of the scans gave a healthy pose"
-        if share < HEALTHY_NOT:
-            bad.append(text)
-        elif share < HEALTHY_PARTLY:
-            doubtful.append(text)
+        scans = grounds["healthy_scans_share"]
+        if scans < HEALTHY_PARTLY:
+            text = f"{100 * scans:.0f} % of the scans gave a healthy pose"
+            (bad if scans < HEALTHY_NOT else doubtful).append(text)
+        if share < HEALTHY_PARTLY:
+            text = f"{100 * share:.0f} % of the output was healthy"
+            (bad if share < HEALTHY_NOT else doubtful).append(text)
         if grounds["longest_without_poles_s"] > WITHOUT_POLES_S:
             gap = grounds["longest_without_poles_s"]
             doubtful.append(f"{gap:.0f} s without a matched pole")
