@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -61,7 +62,15 @@ def make_corpus(folder: Path) -> list[Kind]:
     drive = write_small(folder / "drive")
     for file in ("drive.yaml", "frames.csv", "odometry.csv", "gnss.csv", "reference.csv",
                  "poles.csv", "scans.csv", "laps.csv"):  # fmt: skip
-        add(f"folder/{file}", drive / file, lambda: _use(open_drive(drive)))
+        # a drive with this file alone is read in a fifth of the time
+        lean = folder / f"lean-{file}"
+        lean.mkdir()
+        for name in {"drive.yaml", file}:
+            shutil.copy(drive / name, lean / name)
+        if file == "frames.csv":
+            for side in ("left", "right"):
+                shutil.copytree(drive / side, lean / side)
+        add(f"folder/{file}", lean / file, partial(_open, lean))
     _maps(folder, add)
     _pictures(folder, add)
     _kitti(folder, open_drive(drive), add)
@@ -73,6 +82,10 @@ def make_corpus(folder: Path) -> list[Kind]:
 
 
 Add = Callable[[str, Path, Callable[[], Any]], None]
+
+
+def _open(path: Path) -> None:
+    _use(open_drive(path))
 
 
 def _use(drive: Drive) -> None:
