@@ -148,7 +148,7 @@ class PoleInnovations:
 
     _WINDOW_S, _LARGEST_SD = 1.0, 5.0
     # corrections this small are of no use to anybody: metres, metres, radians
-    _FLOOR = np.array([0.02, 0.02, 0.002]) ** 2
+    _FLOOR = np.array([0.05, 0.05, 0.005]) ** 2
 
     def __init__(self) -> None:
         self._rows: deque[tuple[float, Floats, Floats]] = deque()

@@ -48,6 +48,8 @@ _START_FACTOR = 4
 # samples of the odometry are joined to arcs up to this length, three at 50 Hz: noise is drawn once
 # for each
 _ARC_S = 0.06
+# a pose older than this is no start: the odometry that is kept must reach back to it
+_STALE_S = 60.0
 # share of the particles that must stay effective when a sharp scan meets wide-spread particles
 _MIN_EFFECTIVE_SHARE = 0.03
 
@@ -84,6 +86,7 @@ class ParticleFilter:
             pole_map, config.recovery, receiver, self._weigher, rng, self.counts
         )
         self._fixes = FixWeights(receiver)
+        self._wheelbase_m = wheelbase_m
         self._particles = ParticleSet(config, wheelbase_m, rng)
         self._stamp_s = -np.inf
         self._travelled_m = 0.0
@@ -158,6 +161,12 @@ class ParticleFilter:
         if not np.isfinite(stamp) or stamp <= self._stamp_s:
             self.counts["scans_late"] += 1
             return None
+        if self.initialized and stamp - self._stamp_s > _STALE_S:
+            # nobody has looked for so long that odometry no longer reaches back: a new start
+            self._particles = ParticleSet(self._config, self._wheelbase_m, self._rng)
+            self._calibration.forget()
+            self._noise.reset()
+            self.counts["stale_restarts"] += 1
         odometry_pose = self._history.odometry_pose(stamp)
         travelled = self._history.travelled_m(stamp)
         self._recovery.search.add_scan(scan, odometry_pose, travelled)
