@@ -7,6 +7,7 @@ poles together where the motion as told does not, is the finding.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +18,13 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer
 from polemap.vehicle.motion import move_along_arc
-from polemap.vehicle.pose import inverse_transform_points, rotate_covariance
+from polemap.vehicle.pose import rotate_covariance
 
 Floats = NDArray[np.float64]
 
 _APART_S, _APART_MAX_S = 0.8, 1.6
-_PAIRS_MAX = 240
-_POLES_MAX = 40
+_PAIRS_MAX = 200
+_POLES_MAX = 16
 _FLOOR_M2, _VARIANCE_MAX_M2 = 0.1**2, 4.0
 # how much better than the motion as told a mistake must agree: standard deviations, and ratio
 _BETTER_SDS, _BETTER_RATIO = 5.0, 1.25
@@ -65,41 +66,81 @@ MISTAKES = (
 
 
 @dataclass(frozen=True, slots=True)
-class ScanPairs:
-    """Pairs of scans `apart` in time, thinned to a handful over the drive."""
+class Scans:
+    """The `p` nearest poles of `n` scans as arrays; places beyond a scan's poles are not `there`.
 
-    first: tuple[Detections, ...]
-    second: tuple[Detections, ...]
+    Attributes:
+        stamp_s: `(n,)`.
+        points_m: `(n, p, 2)` vehicle frame.
+        covariance_m2: `(n, p, 2, 2)`.
+        there: `(n, p)`.
+    """
+
+    stamp_s: Floats
+    points_m: Floats
+    covariance_m2: Floats
+    there: NDArray[np.bool_]
+
+    def exchanged(self) -> Scans:
+        """With x and y exchanged."""
+        return Scans(
+            self.stamp_s,
+            self.points_m[..., ::-1],
+            self.covariance_m2[..., ::-1, ::-1],
+            self.there,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPairs:
+    """Pairs of scans about a second apart, thinned to a handful over the drive."""
+
+    first: Scans
+    second: Scans
 
     def __len__(self) -> int:
-        return len(self.first)
+        return len(self.first.stamp_s)
 
 
 def find_pairs(drive: Drive, motion: Odometer) -> ScanPairs:
     """Pairs of scans with poles, the ones in which the car turns first."""
     scans = [scan for scan in drive.scans if len(scan) > 0]
     if len(scans) < 2:
-        return ScanPairs((), ())
+        return ScanPairs(_arrays([]), _arrays([]))
     stamps = np.array([scan.stamp_s for scan in scans])
     later = np.searchsorted(stamps, stamps + _APART_S)
     usable = later < len(scans)
     first = np.flatnonzero(usable)
     later = later[usable]
     apart = stamps[later] - stamps[first]
-    way, turn, known = motion.spans(stamps[first], stamps[later])
+    _, turn, known = motion.spans(stamps[first], stamps[later])
     keep = known & (apart <= _APART_MAX_S)
-    first, later, way, turn = first[keep], later[keep], way[keep], turn[keep]
+    first, later, turn = first[keep], later[keep], turn[keep]
     if len(first) > _PAIRS_MAX:
-        # half of them where the motion is largest, half spread evenly over the drive
-        size = np.abs(turn) / (np.abs(turn).mean() + 1e-9)
-        large = np.argsort(-size, kind="stable")[: len(first) // 2]
-        chosen = np.concatenate([
-            large[:: max(1, len(large) // (_PAIRS_MAX // 2))][: _PAIRS_MAX // 2],
-            np.linspace(0, len(first) - 1, _PAIRS_MAX // 2).astype(np.int64),
-        ])  # fmt: skip
-        chosen = np.unique(chosen)
+        # half of them where the car turns most, half spread evenly over the drive
+        half = _PAIRS_MAX // 2
+        large = np.argsort(-np.abs(turn), kind="stable")[: len(first) // 2]
+        evenly = np.linspace(0, len(first) - 1, half).astype(np.int64)
+        chosen = np.unique(np.concatenate([large[:: max(1, len(large) // half)][:half], evenly]))
         first, later = first[chosen], later[chosen]
-    return ScanPairs(tuple(scans[i] for i in first), tuple(scans[i] for i in later))
+    return ScanPairs(_arrays([scans[i] for i in first]), _arrays([scans[i] for i in later]))
+
+
+def _arrays(scans: Sequence[Detections]) -> Scans:
+    width = min(_POLES_MAX, max((len(scan) for scan in scans), default=0))
+    points = np.zeros((len(scans), width, 2))
+    covariance = np.tile(np.eye(2), (len(scans), width, 1, 1))
+    there = np.zeros((len(scans), width), dtype=np.bool_)
+    for row, scan in enumerate(scans):
+        near = np.argsort(np.hypot(*scan.points_vehicle_m.T), kind="stable")[:width]
+        points[row, : len(near)] = scan.points_vehicle_m[near]
+        given = scan.covariance_m2[near]
+        # a pole that says nothing of its place would meet every other
+        largest = np.maximum(given[:, 0, 0], given[:, 1, 1])
+        shrink = np.minimum(1.0, _VARIANCE_MAX_M2 / np.maximum(largest, 1e-12))
+        covariance[row, : len(near)] = given * shrink[:, None, None]
+        there[row, : len(near)] = True
+    return Scans(np.array([scan.stamp_s for scan in scans]), points, covariance, there)
 
 
 def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float = 0.0) -> Floats:
@@ -109,32 +150,25 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     deviations of both: clutter and poles that leave the view add nothing, whatever the motion.
     NaN where the motion is not known.
     """
-    from_s = np.array([scan.stamp_s for scan in pairs.first]) + lag_s
-    to_s = np.array([scan.stamp_s for scan in pairs.second]) + lag_s
-    way, turn, known = motion.spans(from_s, to_s)
+    way, turn, known = motion.spans(pairs.first.stamp_s + lag_s, pairs.second.stamp_s + lag_s)
     way, turn = way * mistake.way, turn * mistake.turn
-    moves = move_along_arc(np.zeros(3), way, turn)
-    total = np.full(len(pairs), np.nan)
-    for row in np.flatnonzero(known):
-        a, cov_a = _points(pairs.first[row], mistake.exchanged)
-        b, cov_b = _points(pairs.second[row], mistake.exchanged)
-        moved = inverse_transform_points(moves[row], a)
-        spread = rotate_covariance(cov_a, -turn[row])[:, None] + cov_b[None] + _FLOOR_M2 * np.eye(2)
-        off = moved[:, None, :] - b[None, :, :]
-        xx, yy, xy = spread[..., 0, 0], spread[..., 1, 1], spread[..., 0, 1]
-        square = (
-            yy * off[..., 0] ** 2 - 2.0 * xy * off[..., 0] * off[..., 1] + xx * off[..., 1] ** 2
-        ) / (xx * yy - xy * xy)
-        total[row] = float(np.exp(-0.5 * square.min(axis=1)).sum())
-    return total
-
-
-def _points(scan: Detections, exchanged: bool) -> tuple[Floats, Floats]:
-    points = scan.points_vehicle_m[:_POLES_MAX]
-    covariance = np.clip(scan.covariance_m2[:_POLES_MAX], -_VARIANCE_MAX_M2, _VARIANCE_MAX_M2)
-    if not exchanged:
-        return points, covariance
-    return points[:, ::-1], covariance[:, ::-1, ::-1]
+    moves = move_along_arc(np.zeros(3), way, turn)[:, None]
+    first = pairs.first.exchanged() if mistake.exchanged else pairs.first
+    second = pairs.second.exchanged() if mistake.exchanged else pairs.second
+    c, s = np.cos(moves[..., 2]), np.sin(moves[..., 2])
+    off = first.points_m - moves[..., :2]
+    moved = np.stack(
+        [c * off[..., 0] + s * off[..., 1], -s * off[..., 0] + c * off[..., 1]], axis=-1
+    )
+    spread = rotate_covariance(first.covariance_m2, -turn[:, None])
+    total = spread[:, :, None] + second.covariance_m2[:, None] + _FLOOR_M2 * np.eye(2)
+    apart = moved[:, :, None] - second.points_m[:, None]
+    xx, yy, xy = total[..., 0, 0], total[..., 1, 1], total[..., 0, 1]
+    x, y = apart[..., 0], apart[..., 1]
+    square = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    square = np.where(second.there[:, None, :], square, np.inf)
+    nearest = np.exp(-0.5 * square.min(axis=2, initial=np.inf))
+    return np.where(known, np.where(first.there, nearest, 0.0).sum(axis=1), np.nan)
 
 
 def advantage(other: Floats, told: Floats) -> tuple[float, float]:
