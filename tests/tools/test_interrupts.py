@@ -92,7 +92,7 @@ def test_a_signal_ends_a_command_in_one_line(
             os.killpg(process.pid, number)
         else:
             os.kill(process.pid, number)
-        _, error = process.communicate(timeout=60)
+        _, error = process.communicate(timeout=300)
     assert process.returncode == code
     assert error == "polemap: interrupted; nothing half-written stays under a final name\n"
     wait_until_gone(process.pid)
@@ -119,7 +119,7 @@ def test_workers_end_with_a_killed_parent_and_the_next_run_tidies_up(
 
 def run(words: list[object], **options: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        [*POLEMAP, *map(str, words)], stderr=subprocess.PIPE, text=True, timeout=60, **options
+        [*POLEMAP, *map(str, words)], stderr=subprocess.PIPE, text=True, timeout=300, **options
     )
 
 
@@ -147,7 +147,7 @@ def test_closed_standard_streams_are_no_obstacle(street: Path, tmp_path: Path) -
     words = [*POLEMAP, "map", "--convert", street / "map.gpkg", "--out", tmp_path / "a.geojson"]
     command = " ".join(map(str, words))
     for closed in ("<&-", ">&-", "2>&-", "<&- >&- 2>&-"):
-        done = subprocess.run(["sh", "-c", f"{command} {closed}"], capture_output=True, timeout=60)
+        done = subprocess.run(["sh", "-c", f"{command} {closed}"], capture_output=True, timeout=300)
         assert done.returncode == cli.GOOD, closed
     assert [path.name for path in tmp_path.iterdir()] == ["a.geojson"]
 

@@ -30,7 +30,7 @@ def read_classifier(name_or_path: str) -> PoleClassifier:
         path = Path(__file__).parent / f"{name_or_path}.json"
     if not path.is_file():
         built_in = sorted(p.stem for p in Path(__file__).parent.glob("*.json"))
-        raise InputError(f"{path}: no such classifier; built in: {', '.join(built_in)}")
+        raise InputError(f"{path}: no such classifier file; built in: {', '.join(built_in)}")
     with named(path, InputError, "classifier"):
         tree = read_json(path, 10 * MEGABYTE)
     if not isinstance(tree, dict) or tree.get("format") != _FORMAT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
@@ -123,6 +124,16 @@ def test_tables_are_bounded_in_columns_cells_and_lines(
         path.write_bytes(content)
         with pytest.raises(ParsingError, match=message):
             read_rows(path)
+    packed = tmp_path / "a.csv.gz"
+    packed.write_bytes(gzip.compress(b"a,b\n1,2\n"))
+    check_csv(packed)
+    packed.write_bytes(gzip.compress(b"a\n" + b"1\n" * 100)[:-9])
+    with pytest.raises(ParsingError, match="a damaged archive"):
+        check_csv(packed)
+    monkeypatch.setattr(csv_text, "SMALL_BYTES", 0)
+    packed.write_bytes(gzip.compress(b"1\n" * 1_000_000))
+    with pytest.raises(ParsingError, match=r"line \d+: more than \d+ bytes when unpacked"):
+        check_csv(packed)
     monkeypatch.setattr(csv_text, "LARGEST_BYTES", 3)
     with pytest.raises(ParsingError, match="bytes are more than the 3"):
         check_csv(path)
