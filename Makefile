@@ -36,6 +36,8 @@ bench: setup
 
 campaign: setup
 	$(BIN)/python -m benchmarks.campaign
+	$(BIN)/python -m benchmarks.campaign.readers --seconds 7200
+	$(BIN)/python -m benchmarks.campaign.kills --kills 200
 
 docs: setup
 	$(BIN)/python -m docs.make_settings
