@@ -30,7 +30,7 @@ from polemap.drivelog.results.marker import (
     read_marker,
     write_marker,
 )
-from polemap.drivelog.results.targets import check_apart, real_target
+from polemap.drivelog.results.targets import check_not_an_input, real_target
 from polemap.drivelog.results.workspace import (
     ENDING,
     fresh_folder,
@@ -61,7 +61,7 @@ def check_file(path: Path, inputs: Inputs = ()) -> None:
         OutputError: the place is no file, or is on or below an input.
     """
     real_target(Path(path), folder=False)
-    check_apart(Path(path), inputs)
+    check_not_an_input(Path(path), inputs)
 
 
 def check_files(paths: Sequence[Path | None], inputs: Inputs = ()) -> None:
@@ -86,7 +86,7 @@ def check_folder(path: Path, kind: str, inputs: Inputs = (), carried: tuple[str,
         OutputError: as `atomic_folder`.
     """
     target = real_target(Path(path), folder=True)
-    check_apart(Path(path), inputs)
+    check_not_an_input(Path(path), inputs)
     check_replaceable(Path(path), target, kind, carried)
 
 
@@ -103,7 +103,7 @@ def atomic_file(path: Path, inputs: Inputs = ()) -> Iterator[Path]:
     """
     path = Path(path)
     target = real_target(path, folder=False)
-    check_apart(path, inputs)
+    check_not_an_input(path, inputs)
     with fresh_folder(target) as place:
         part = place / target.name
         yield part
@@ -144,7 +144,7 @@ def atomic_folder(
     """
     path = Path(path)
     target = real_target(path, folder=True)
-    check_apart(path, inputs)
+    check_not_an_input(path, inputs)
     with own_workspace(target):
         check_replaceable(path, target, kind, carried)
         with fresh_folder(target) as place:

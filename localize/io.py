@@ -36,14 +36,14 @@ def write_run(
     run: Run,
     metrics: Mapping[str, Any],
     config: Mapping[str, Any],
-    looked_s: Mapping[str, Mapping[float, float]] | None = None,
+    perception_s: Mapping[str, Mapping[float, float]] | None = None,
 ) -> None:
     """Write the files of a run into a folder that exists, and timing.csv of a timed run.
 
     Args:
         metrics: content of metrics.json.
         config: content of config.yaml, every setting as used.
-        looked_s: seconds that each stage before the particle filter took, by the scan's stamp.
+        perception_s: seconds that each stage before the particle filter took, by the scan's stamp.
     """
     write_tum(folder / "pf.tum", run.pf)
     write_tum(folder / "kf.tum", run.kf)
@@ -52,7 +52,7 @@ def write_run(
     write_config(folder / "config.yaml", config)
     write_metrics(folder / "metrics.json", metrics)
     if any(isfinite(update.update_s) for update in run.updates):
-        _write_timing(folder / "timing.csv", run, looked_s or {})
+        _write_timing(folder / "timing.csv", run, perception_s or {})
 
 
 def write_config(path: Path, config: Mapping[str, Any]) -> None:
@@ -83,14 +83,14 @@ def _write_health(path: Path, run: Run) -> None:
             file.write(",".join(map(_number, row)) + "\n")
 
 
-def _write_timing(path: Path, run: Run, looked_s: Mapping[str, Mapping[float, float]]) -> None:
+def _write_timing(path: Path, run: Run, perception_s: Mapping[str, Mapping[float, float]]) -> None:
     """Milliseconds of every stage at every update; an empty cell is a stage that did not run."""
-    names = [*looked_s, "particle_filter", "output_pose"]
+    names = [*perception_s, "particle_filter", "output_pose"]
     with atomic_file(path) as part, part.open("w", encoding="utf-8") as file:
         file.write(",".join(["stamp_s", *(f"{name}_ms" for name in names)]) + "\n")
         for update in sorted(run.updates, key=lambda update: update.estimate.stamp_s):
             stamp_s = update.estimate.stamp_s
-            spent = [*(stage.get(stamp_s, nan) for stage in looked_s.values())]
+            spent = [*(stage.get(stamp_s, nan) for stage in perception_s.values())]
             spent += [update.update_s, update.offer_s]
             cells = [f"{1e3 * value:.4f}" if isfinite(value) else "" for value in spent]
             file.write(",".join([_number(stamp_s), *cells]) + "\n")

@@ -15,8 +15,8 @@ from polemap.localize.config import for_car
 from polemap.localize.replay import check_inputs
 from polemap.map.io import read_map
 from polemap.settings import load_settings
+from polemap.tools.drive_detection import DriveDetections, Source, detect_drive
 from polemap.tools.findings import require_plausible
-from polemap.tools.looking import Looked, Source, look
 from polemap.tools.monte_carlo import Replay, run_many, shared_runs
 from polemap.tools.option_types import ConfigOption, ForceOption, SeedOption, SetOption
 from polemap.tools.plausible import find
@@ -61,7 +61,7 @@ def command(
 
     Writes pf.tum and kf.tum (100 Hz), health.csv, output.csv, timing.csv, metrics.json and
     config.yaml; with --runs one folder a run and the mean and spread over them. The same seed gives
-    the same trajectories, bit for bit. The images are looked at once, in parallel; --cache keeps
+    the same trajectories, bit for bit. The poles are detected once, in parallel; --cache keeps
     what was found there, for other runs and for the sweeps of polemap report.
     """
     check_folder(out, "run", (drive, map_file, cache, config))
@@ -79,13 +79,13 @@ def command(
     require_plausible(opened.name, find(opened, pole_map), force=force)
     localize = for_car(settings.localize, opened.car)
     settings = settings.model_copy(update={"localize": localize})
-    looked = Looked((), {})
+    detected = DriveDetections((), {})
     if pole_map is not None:
         check_inputs(opened, pole_map, has_poles=opened.has_frames or bool(opened.scans))
         total = len(opened.frame_stamps_s) if opened.has_frames else len(opened.scans)
-        with progress(total, "looking for poles") as advance:
-            looked = look(source, opened, settings, processes, cache, advance)
-    job = Replay(source, map_file, pole_map, looked, settings)
+        with progress(total, "detecting poles") as advance:
+            detected = detect_drive(source, opened, settings, processes, cache, advance)
+    job = Replay(source, map_file, pole_map, detected, settings)
     kept = None if cache is None or runs == 1 else cache / f"runs-{job.key(opened)}"
     with shared_runs(kept), atomic_folder(out, "run") as folder:
         if runs == 1:

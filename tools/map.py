@@ -37,7 +37,7 @@ from polemap.tools.progress import progress
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where drives are looked at."""
+    """Where the poles of drives are detected."""
 
     checkpoints: Path
     workers: int | None
@@ -142,7 +142,7 @@ def command(
                 for path, name in zip(drives, names, strict=True)
             ]
             place = _Place(folder, workers, scheduler)
-            built = _build_apart(opened, tasks, settings, old, align, place)
+            built = _build_in_processes(opened, tasks, settings, old, align, place)
         if not len(built.pole_map):
             raise InputError(
                 f"no pole was found in {len(opened)} drives, {out} was not written; try a lower "
@@ -202,7 +202,7 @@ def _convert(source: Path, drives: list[Path], out: Path | None, seed: int) -> N
 
 def _build(drives: list[Drive], settings: Settings, old: PoleMap | None, align: bool) -> BuiltMap:
     total = sum(len(d.frame_stamps_s) if d.has_frames else len(d.scans) for d in drives)
-    with progress(total, "looking for poles") as advance:
+    with progress(total, "detecting poles") as advance:
         return build_map(
             drives,
             settings.polemap,
@@ -212,7 +212,7 @@ def _build(drives: list[Drive], settings: Settings, old: PoleMap | None, align: 
         )
 
 
-def _build_apart(
+def _build_in_processes(
     drives: list[Drive],
     tasks: list[DriveTask],
     settings: Settings,

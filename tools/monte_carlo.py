@@ -23,10 +23,10 @@ from polemap.localize.replay import replay
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.json_text import read_json
 from polemap.settings import Settings
-from polemap.tools.looking import Looked, Source
+from polemap.tools.detection_cache import drive_fingerprint, fingerprint
+from polemap.tools.drive_detection import DriveDetections, Source
 from polemap.tools.machine import describe_machine
 from polemap.tools.progress import progress
-from polemap.tools.scan_cache import drive_fingerprint, fingerprint
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,21 +36,21 @@ class Replay:
     source: Source
     map_file: Path | None
     pole_map: PoleMap | None
-    looked: Looked
+    detected: DriveDetections
     settings: Settings
 
     def run(self, folder: Path, seed: int, *, show: bool = False) -> dict[str, Any]:
         """One run into `folder`; its metrics."""
         # sensors that had to be derived get noise of their own in every run
         drive = replace(self.source.open(seed), images=None, scans=())
-        looked = self.looked
+        detected = self.detected
         total = sum(len(stream) for stream in (drive.odometry, drive.gnss) if stream is not None)
-        bar = progress(total + len(looked.scans), "localizing") if show else nullcontext()
+        bar = progress(total + len(detected.scans), "localizing") if show else nullcontext()
         with bar as advance:
             run = replay(
                 drive,
                 self.pole_map,
-                looked.scans,
+                detected.scans,
                 self.settings.localize,
                 seed=seed,
                 clock=time.perf_counter,
@@ -58,14 +58,14 @@ class Replay:
             )
         metrics = run_metrics(run, drive)
         metrics["verdict"] = judge(run, drive, self.pole_map)
-        spent = looked.total_s()
+        spent = detected.total_s()
         metrics["timing_ms"] = {**timing_summary(spent), **metrics["timing_ms"]}
         metrics["machine"] = describe_machine()
         metrics["perception_s"] = sum(spent["perception"])
         busy_s = metrics["perception_s"] + metrics["replay_s"]
         metrics["real_time_factor"] = drive.duration_s / busy_s if busy_s > 0 else None
         folder.mkdir(parents=True, exist_ok=True)
-        write_run(folder, run, metrics, self._as_used(seed), looked.spent_s)
+        write_run(folder, run, metrics, self._as_used(seed), detected.spent_s)
         return metrics
 
     def key(self, drive: Drive) -> str:

@@ -30,7 +30,7 @@ from polemap.simulate.kitti_layout import write_kitti_odometry
 from polemap.simulate.kitti_raw_layout import write_kitti_raw
 from polemap.simulate.scenario import load_scenario
 from polemap.stereo.io import read_kitti_calibration
-from polemap.tools.scan_cache import read_scans
+from polemap.tools.detection_cache import read_scans
 from polemap.vehicle.io import dump_car, load_car
 from tests.drivelog.drives import write_small
 

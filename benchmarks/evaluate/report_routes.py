@@ -36,7 +36,7 @@ CORNERS_M: dict[str, list[tuple[float, float]] | None] = {
     "suburb": [(0, 0), (70, 4), (76, 50), (-4, 54)],
 }
 # the worlds must not lie on top of each other: drives over the same ground are one route
-APART_M = 2000.0
+SPACING_M = 2000.0
 FRAME_RATE_HZ = 5.0
 # at 5 pairs a second and one lap a pole is seen in few frames
 MAPPING = "polemap.mapping.observations_min=5"
@@ -114,7 +114,7 @@ def short_world(route: str) -> Scenario:
     world = load_scenario(route)
     tree = world.model_dump(mode="json")
     tree["drive"] |= {"frame_rate_hz": FRAME_RATE_HZ, "standstill_s": 2.0}
-    tree["origin_east_m"] += APART_M * list(CORNERS_M).index(route)
+    tree["origin_east_m"] += SPACING_M * list(CORNERS_M).index(route)
     corners_m = CORNERS_M[route]
     if corners_m is not None:
         length_m = make_route(corners_m, world.route.corner_radius_m, closed=True).length_m

@@ -31,7 +31,7 @@ UNMAPPED = Path(__file__).parent / "kitti_03_unmapped_poles.csv"
 BANDS_M = [(5.0, 20.0), (5.0, 10.0), (10.0, 15.0), (15.0, 20.0)]
 
 
-def look(drive: Drive, poles: PoleMap, model: PoleClassifier) -> list[FrameRecord]:
+def records_of(drive: Drive, poles: PoleMap, model: PoleClassifier) -> list[FrameRecord]:
     """A record of every frame, as one model sees it."""
     assert drive.rig is not None
     assert drive.reference is not None
@@ -64,13 +64,13 @@ def main() -> None:
     settings = PolemapConfig().detection
     labels = collect(drive, poles, matcher, settings, TrainingConfig(), ignore_m=lacking, parts=2)
     middle = len(drive.frame_stamps_s) // 2
-    first, second = (look(drive, poles, model) for model in half_models(labels))
+    first, second = (records_of(drive, poles, model) for model in half_models(labels))
     crossed = [*first[:middle], *second[middle:]]
     _frames("halves crossed", crossed, poles, lacking)
     # tracks do not go over from one model to the other
     for name, part in (("first half", first[:middle]), ("second half", second[middle:])):
         _print(f"{name}, tracks", score_tracks(part, poles, BANDS_M[0], lacking))
-    simulated = look(drive, poles, read_classifier("simulated"))
+    simulated = records_of(drive, poles, read_classifier("simulated"))
     _frames("simulated labels only", simulated, poles, lacking)
     _print("simulated labels only, tracks", score_tracks(simulated, poles, BANDS_M[0], lacking))
 

@@ -95,7 +95,7 @@ def _profile(name: str, parts: list[tuple[StereoRig, Samples]]) -> dict[str, dic
         maps = {frame.index: matcher.match(frame.left, frame.right) for frame in frames}
         rounds: dict[str, list[list[float]]] = defaultdict(list)
         for _ in range(_ROUNDS):
-            for stage, seconds in _look(rig, samples, maps, hypotheses).items():
+            for stage, seconds in _stage_times(rig, samples, maps, hypotheses).items():
                 rounds[stage].append(seconds)
         for stage, table in rounds.items():
             best[stage] += np.min(table, axis=0).tolist()
@@ -107,7 +107,7 @@ def _profile(name: str, parts: list[tuple[StereoRig, Samples]]) -> dict[str, dic
     return figures
 
 
-def _look(
+def _stage_times(
     rig: StereoRig, samples: Samples, maps: dict[int, Any], hypotheses: list[int]
 ) -> dict[str, list[float]]:
     """Seconds of every frame by stage."""

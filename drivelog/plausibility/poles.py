@@ -22,7 +22,7 @@ from polemap.vehicle.pose import rotate_covariance
 
 Floats = NDArray[np.float64]
 
-_APART_S, _APART_MAX_S = 0.8, 1.6
+_INTERVAL_S, _INTERVAL_MAX_S = 0.8, 1.6
 _PAIRS_MAX = 200
 _POLES_MAX = 16
 _FLOOR_M2, _VARIANCE_MAX_M2 = 0.1**2, 4.0
@@ -108,13 +108,13 @@ def find_pairs(drive: Drive, motion: Odometer) -> ScanPairs:
     if len(scans) < 2:
         return ScanPairs(_arrays([]), _arrays([]))
     stamps = np.array([scan.stamp_s for scan in scans])
-    later = np.searchsorted(stamps, stamps + _APART_S)
+    later = np.searchsorted(stamps, stamps + _INTERVAL_S)
     usable = later < len(scans)
     first = np.flatnonzero(usable)
     later = later[usable]
-    apart = stamps[later] - stamps[first]
+    elapsed_s = stamps[later] - stamps[first]
     _, turn, known = motion.spans(stamps[first], stamps[later])
-    keep = known & (apart <= _APART_MAX_S)
+    keep = known & (elapsed_s <= _INTERVAL_MAX_S)
     first, later, turn = first[keep], later[keep], turn[keep]
     if len(first) > _PAIRS_MAX:
         # half of them where the car turns most, half spread evenly over the drive
@@ -162,7 +162,7 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     )
     spread = rotate_covariance(first.covariance_m2, -turn[:, None])
     total = spread[:, :, None] + second.covariance_m2[:, None] + _FLOOR_M2 * np.eye(2)
-    apart = moved[:, :, None] - second.points_m[:, None]
+    elapsed_s = moved[:, :, None] - second.points_m[:, None]
     xx, yy, xy = total[..., 0, 0], total[..., 1, 1], total[..., 0, 1]
     x, y = apart[..., 0], apart[..., 1]
     square = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)

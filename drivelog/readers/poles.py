@@ -40,15 +40,15 @@ def read_scans(
     poles_path, scans_path = folder / "poles.csv", folder / "scans.csv"
     if not poles_path.is_file() and not scans_path.is_file():
         return (), None
-    looks = np.empty(0)
+    scan_stamps = np.empty(0)
     if scans_path.is_file():
         table = in_order(read_table(scans_path, ("stamp_s",)), findings, duplicates="drop")
         _count(table, problems)
-        looks = table["stamp_s"]
+        scan_stamps = table["stamp_s"]
     poles = _read_poles(poles_path, problems, findings) if poles_path.is_file() else None
-    stamps = np.unique(np.concatenate([looks, poles["stamp_s"]])) if poles else looks
-    if poles and len(looks):
-        unlisted = len(stamps) - len(looks)
+    stamps = np.unique(np.concatenate([scan_stamps, poles["stamp_s"]])) if poles else scan_stamps
+    if poles and len(scan_stamps):
+        unlisted = len(stamps) - len(scan_stamps)
         if unlisted:
             problems["poles_stamp_not_in_scans"] += unlisted
     view, note = _view(detector, poles)

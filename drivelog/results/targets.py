@@ -45,7 +45,7 @@ def real_target(path: Path, *, folder: bool) -> Path:
     return Path(os.path.realpath(path))
 
 
-def check_apart(out: Path, inputs: Iterable[Path | str | None]) -> None:
+def check_not_an_input(out: Path, inputs: Iterable[Path | str | None]) -> None:
     """Refuse a result on, above or below any of the inputs that exist; None is no input.
 
     Raises:

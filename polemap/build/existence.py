@@ -32,7 +32,7 @@ RANGE_STEP_M = 5.0
 RANGE_BINS = 16
 _BATCH = 2000
 _ESTABLISHED = 10  # detections in the drive from which a pole's presence is beyond doubt
-_PRIOR_SEEN, _PRIOR_LOOKS = 6.0, 10.0
+_PRIOR_SEEN, _PRIOR_EXPECTED = 6.0, 10.0
 _POLES_MIN = 30  # fewer do not tell how visible poles are
 _MEMORY = 20.0  # scans that earlier drives count at most: visibility changes
 
@@ -137,7 +137,7 @@ def detection_probability(parts: list[Visibility]) -> Floats:
         sure = part.detected.sum(axis=1) >= _ESTABLISHED
         seen += part.detected[sure].sum(axis=0)
         expected += part.expected[sure].sum(axis=0)
-    return (seen + _PRIOR_SEEN) / (expected + _PRIOR_LOOKS)
+    return (seen + _PRIOR_SEEN) / (expected + _PRIOR_EXPECTED)
 
 
 @dataclass(frozen=True, slots=True)

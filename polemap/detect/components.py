@@ -23,8 +23,8 @@ def components(n: int, one: Ints, two: Ints) -> tuple[Ints, int]:
     root = nodes.copy()
     while len(one):
         a, b = root[one], root[two]
-        apart = a != b
-        one, two, a, b = one[apart], two[apart], a[apart], b[apart]
+        differ = a != b
+        one, two, a, b = one[differ], two[differ], a[differ], b[differ]
         root[np.maximum(a, b)] = np.minimum(a, b)
         above = root[root]
         while not np.array_equal(above, root):

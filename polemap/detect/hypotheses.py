@@ -25,10 +25,10 @@ from polemap.stereo.rig import StereoRig
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_ROWS_APART = 4  # slices are linked over so many looked-at rows
+_LINK_ROWS = 4  # slices are linked over so many looked-at rows
 _REACH_PX = 3  # and so many columns
-_DOWN = np.repeat(np.arange(1, _ROWS_APART + 1), 2 * _REACH_PX + 1)
-_ASIDE = np.tile(np.arange(-_REACH_PX, _REACH_PX + 1), _ROWS_APART)
+_DOWN = np.repeat(np.arange(1, _LINK_ROWS + 1), 2 * _REACH_PX + 1)
+_ASIDE = np.tile(np.arange(-_REACH_PX, _REACH_PX + 1), _LINK_ROWS)
 _SLICES_MIN = 3  # of a hypothesis
 _RANKS = 6  # right flanks that are tried for a left one
 
@@ -156,7 +156,7 @@ def _link(slices: Slices, rig: StereoRig, config: DetectionConfig) -> tuple[Ints
     centre = 0.5 * (slices.left_px + slices.right_px)
     column = np.round(centre).astype(np.int64) + _REACH_PX
     stride = rig.width_px + 2 * _REACH_PX + 2
-    cells = np.full((int(row.max()) + _ROWS_APART + 1) * stride, -1, dtype=np.int32)
+    cells = np.full((int(row.max()) + _LINK_ROWS + 1) * stride, -1, dtype=np.int32)
     at = row * stride + column
     cells[at] = np.arange(n)
     other = cells.take(at[:, None] + (_DOWN * stride + _ASIDE)).ravel()

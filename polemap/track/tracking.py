@@ -128,9 +128,11 @@ class PoleTracker:
         xx, xy, yy = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
         determinant = xx * yy - xy * xy
         distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
-        apart = tracks.width_m[:, None] - detections.width_m[usable]
+        width_error = tracks.width_m[:, None] - detections.width_m[usable]
         width_var = tracks.width_var_m2[:, None] + WIDTH_SD_M**2
-        width_cost = np.where(np.isnan(apart), 0.0, np.minimum(apart**2 / width_var, 9.0))
+        width_cost = np.where(
+            np.isnan(width_error), 0.0, np.minimum(width_error**2 / width_var, 9.0)
+        )
         log_det = np.log(determinant)
         cost = distance + 0.5 * width_cost + log_det - log_det.min()
         # an uncertain track must not snatch the detection of a sure one

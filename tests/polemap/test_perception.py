@@ -142,9 +142,9 @@ def test_real_street_against_its_lidar_map(recording: Callable[[str], Path]) -> 
     part = drive.between(stamps[22], stamps[38])
     perception = PolePerception(drive.rig, PolemapConfig())
     records = []
-    for look in perceive_drive(part, perception):
-        pose = drive.reference.at(np.array([look.frame.stamp_s]))[0]
-        records.append(record(look, pose, known, drive.rig, DetectionConfig()))
+    for seen in perceive_drive(part, perception):
+        pose = drive.reference.at(np.array([seen.frame.stamp_s]))[0]
+        records.append(record(seen, pose, known, drive.rig, DetectionConfig()))
     (frames,) = score_frames(records, known, [(5.0, 20.0)])
     figures = frames.figures()
     assert frames.shown > 15

@@ -85,7 +85,9 @@ def drive_through(
     return DriveThrough(list(drive.scans), reference, poses)
 
 
-def passed(town: Town, poses: Floats, within_m: float = 20.0, looks: int = 5) -> NDArray[np.bool_]:
+def passed(
+    town: Town, poses: Floats, within_m: float = 20.0, observations: int = 5
+) -> NDArray[np.bool_]:
     """Which poles a drive had in its field of view, near enough, often enough."""
     count = np.zeros(len(town), dtype=np.int64)
     view = VisibleRegion(np.array([1.5, 0.0]), -0.6, 0.6, 3.0, np.array([within_m]))
@@ -96,4 +98,4 @@ def passed(town: Town, poses: Floats, within_m: float = 20.0, looks: int = 5) ->
             [c * offset[:, 0] + s * offset[:, 1], -s * offset[:, 0] + c * offset[:, 1]], axis=1
         )
         count += view.contains(local)
-    return count >= looks
+    return count >= observations

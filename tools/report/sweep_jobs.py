@@ -25,7 +25,7 @@ from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.json_text import parse_json
 from polemap.settings import Settings
-from polemap.tools.looking import Source, read_looks, tracked
+from polemap.tools.drive_detection import Source, read_kept_scans, tracked
 from polemap.vehicle.trajectory import Trajectory
 
 OUTPUT_SPACING_M = 0.1
@@ -33,12 +33,12 @@ OUTPUT_SPACING_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ReplayJob:
-    """One localized replay, to be kept at `target`; `looks` are the files of its detections."""
+    """One localized replay, kept at `target`; `detections` are the files of its detections."""
 
     source: Source
     map: str
     settings: str
-    looks: tuple[str, ...]
+    detections: tuple[str, ...]
     every: int
     seed: int
     target: str
@@ -52,7 +52,7 @@ def do_replay(job: ReplayJob) -> None:
     """Do one job and keep its result."""
     settings = Settings.model_validate_json(job.settings)
     drive = replace(job.source.open(job.seed), images=None, scans=())
-    scans = _tracked(job.source, settings.polemap.model_dump_json(), job.looks, job.every)
+    scans = _tracked(job.source, settings.polemap.model_dump_json(), job.detections, job.every)
     begin = time.perf_counter()
     run = replay(
         drive,
@@ -117,10 +117,10 @@ def _map(path: str, source: Source) -> PoleMap:
 
 @lru_cache(maxsize=2)
 def _tracked(
-    source: Source, polemap: str, looks: tuple[str, ...], every: int
+    source: Source, polemap: str, detections: tuple[str, ...], every: int
 ) -> tuple[Detections, ...]:
     drive = source.open()
-    raw = read_looks(looks)[0] if looks else drive.scans
+    raw = read_kept_scans(detections)[0] if detections else drive.scans
     return tracked(drive, raw, PolemapConfig.model_validate_json(polemap), every=every).scans
 
 

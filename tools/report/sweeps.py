@@ -18,19 +18,19 @@ from polemap.evaluation.route import measure
 from polemap.evaluation.routes import Recording
 from polemap.evaluation.runs.io import Run
 from polemap.settings import Settings
-from polemap.tools.looking import (
-    LookJob,
+from polemap.tools.detection_cache import drive_fingerprint, fingerprint
+from polemap.tools.drive_detection import (
+    DetectionJob,
     Source,
-    do_look,
+    detect_frames,
+    detection_jobs,
+    detection_settings,
     drop_damaged,
     is_readable,
-    look_jobs,
-    run_kept,
-    what_is_seen_by,
+    run_missing,
 )
 from polemap.tools.report.sweep_jobs import ReplayJob, do_replay, is_whole, read_result, thinned
 from polemap.tools.report.sweep_spec import Sweep, SweepValue, settings_of
-from polemap.tools.scan_cache import drive_fingerprint, fingerprint
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +85,14 @@ def run_sweeps(
             notes.append(f"{result.route.name}: no sweep ({error})")
     if not plans:
         raise InputError("--sweep: no route can be replayed; " + "; ".join(notes))
-    looks = list({job.target: job for plan in plans for job in plan.looks}.values())
-    drop_damaged(looks, is_readable)
-    with progress(sum(job.steps for job in looks), "looking for poles") as advance:
-        run_kept(looks, do_look, workers, advance)
+    detections = list({job.target: job for plan in plans for job in plan.detections}.values())
+    drop_damaged(detections, is_readable)
+    with progress(sum(job.steps for job in detections), "detecting poles") as advance:
+        run_missing(detections, detect_frames, workers, advance)
     replays = list({job.target: job for plan in plans for job in plan.replays()}.values())
     drop_damaged(replays, is_whole)
     with progress(len(replays), "replaying the sweep") as advance:
-        run_kept(replays, do_replay, workers, advance)
+        run_missing(replays, do_replay, workers, advance)
     swept = []
     with progress(len(plans), "measuring the sweep") as advance:
         for plan in plans:
@@ -110,7 +110,7 @@ class _Plan:
 
     result: RouteResult
     frame_rate_hz: float
-    looks: tuple[LookJob, ...]
+    detections: tuple[DetectionJob, ...]
     runs: dict[str, list[list[list[ReplayJob | Run]]]]
 
     def replays(self) -> list[ReplayJob]:
@@ -121,7 +121,7 @@ class _Plan:
 def _plan(
     result: RouteResult, sweeps: Sequence[Sweep], folder: Path, runs: int, seed: int
 ) -> _Plan:
-    looks: dict[str, LookJob] = {}
+    detections: dict[str, DetectionJob] = {}
     planned: dict[str, list[list[list[ReplayJob | Run]]]] = {
         sweep.name: [[[] for _ in range(runs)] for _ in sweep.values] for sweep in sweeps
     }
@@ -136,11 +136,15 @@ def _plan(
             for number, value in enumerate(sweep.values):
                 settings = settings_of(recording.main.config, value.settings)
                 text = _text(settings)
-                jobs = look_jobs(source, drive, known, settings, folder) if drive.has_frames else []
-                looks |= {job.target: job for job in jobs}
+                jobs = (
+                    detection_jobs(source, drive, known, settings, folder)
+                    if drive.has_frames
+                    else []
+                )
+                detections |= {job.target: job for job in jobs}
                 own = _own_runs(recording, value, text)
                 files = tuple(job.target for job in jobs)
-                seen = bool(files) and what_is_seen_by(settings)
+                seen = bool(files) and detection_settings(settings)
                 for run in range(runs):
                     key = fingerprint(*inputs, text, seen, value.every, seed + run)
                     job = ReplayJob(
@@ -148,7 +152,7 @@ def _plan(
                         str(folder / f"run-{key}.npz"),
                     )  # fmt: skip
                     planned[sweep.name][number][run].append(own.get(seed + run, job))
-    return _Plan(result, float(np.mean(rates)), tuple(looks.values()), planned)
+    return _Plan(result, float(np.mean(rates)), tuple(detections.values()), planned)
 
 
 def _input(recording: Recording) -> tuple[Source, Drive, Path]:

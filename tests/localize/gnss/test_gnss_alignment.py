@@ -26,11 +26,11 @@ def drive_and_fix(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Drive an S; dead reckoning starts at the origin. Returns its last pose and the true one."""
     lasting = rng.normal(0, sd_m, 2)
-    reckoned = np.zeros(3)
+    odometry_pose = np.zeros(3)
     true = pose0.copy()
     for k in range(count):
         way, turn = 6.0, 0.03 * np.sin(k / 5)
-        for pose in (reckoned, true):
+        for pose in (odometry_pose, true):
             pose[0] += way * np.cos(pose[2] + turn / 2)
             pose[1] += way * np.sin(pose[2] + turn / 2)
             pose[2] += turn
@@ -43,9 +43,9 @@ def drive_and_fix(
             fix = fix + rng.choice([-1.0, 1.0], 2) * rng.uniform(80, 200, 2)
         align.add_fix(
             GnssFix(float(k), float(k), float(fix[0]), float(fix[1]), 1.0),
-            reckoned.copy(),
+            odometry_pose.copy(),
         )
-    return reckoned, true
+    return odometry_pose, true
 
 
 @pytest.mark.parametrize("outliers", [(), (3, 4, 11, 20, 28, 29)])
@@ -55,8 +55,8 @@ def test_alignment_finds_position_and_heading(outliers: tuple[int, ...]) -> None
         rng = np.random.default_rng(seed)
         align = GnssAlignment(RECEIVER)
         pose0 = np.array([*rng.uniform(-50, 50, 2), rng.uniform(-np.pi, np.pi)])
-        reckoned, true = drive_and_fix(align, pose0, 2.5, rng, outliers=outliers)
-        found = align.align(reckoned)
+        odometry_pose, true = drive_and_fix(align, pose0, 2.5, rng, outliers=outliers)
+        found = align.align(odometry_pose)
         assert found is not None
         assert found.heading_known
         error = found.pose - true
@@ -74,9 +74,9 @@ def test_alignment_finds_position_and_heading(outliers: tuple[int, ...]) -> None
 def test_alignment_follows_a_car_that_was_moved() -> None:
     rng = np.random.default_rng(0)
     align = GnssAlignment(RECEIVER)
-    reckoned, true = drive_and_fix(align, np.zeros(3), 0.0, rng, jump=(26, 50.0))
+    odometry_pose, true = drive_and_fix(align, np.zeros(3), 0.0, rng, jump=(26, 50.0))
     # three fixes of one second each lie beyond the jump, within the last two seconds
-    found = align.align(reckoned)
+    found = align.align(odometry_pose)
     assert found is not None
     assert np.hypot(*(found.pose[:2] - true[:2])) < 5.0
 

@@ -86,13 +86,13 @@ def test_memory_joins_scans_and_forgets_what_lies_behind() -> None:
     memory = RecentPoles()
     poles = np.array([[10.0, 3.0], [20.0, -4.0], [35.0, 5.0], [60.0, -3.0], [75.0, 4.0]])
     for k in range(60):
-        reckoned = np.array([2.0 * k, 0.0, 0.0])
-        local = poles - reckoned[:2]
+        odometry_pose = np.array([2.0 * k, 0.0, 0.0])
+        local = poles - odometry_pose[:2]
         local = local[(local[:, 0] > 2) & (local[:, 0] < 30)]
-        memory.add_scan(plain_scan(0.2 * k, local), reckoned, 2.0 * k)
+        memory.add_scan(plain_scan(0.2 * k, local), odometry_pose, 2.0 * k)
         if k == 25:
-            around = memory.around(reckoned)
-            here = poles - reckoned[:2]
+            around = memory.around(odometry_pose)
+            here = poles - odometry_pose[:2]
             distance = np.hypot(*(around[:, None] - here[None]).transpose(2, 0, 1))
             # more than the two that the scan shows, and the first two not yet forgotten
             assert len(around) >= 4

@@ -36,7 +36,7 @@ def test_matching_poles_are_well() -> None:
     assert lost.match_share == pytest.approx(1.0)
 
 
-def test_a_wide_cloud_is_lost_at_once() -> None:
+def test_a_wide_particle_set_is_lost_at_once() -> None:
     lost = LostDetector(RecoveryConfig())
     feed(lost, 0, 0.1, geometric_sd_m=15.1)
     assert lost.lost

@@ -25,7 +25,7 @@ def feed(
         )
 
 
-def test_a_constellation_proves_a_narrow_cloud_only() -> None:
+def test_a_constellation_proves_a_narrow_particle_set_only() -> None:
     proof = StartProof(RecoveryConfig())
     feed(proof, 5, "confirmed", narrow=False)
     assert not proof.proven

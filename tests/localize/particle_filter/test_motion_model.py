@@ -57,11 +57,11 @@ def test_the_rear_axle_slips_outward_as_much_as_each_particle_thinks() -> None:
     history = OdometryHistory(slip_rad_per_mps2=0.006)
     for k in range(3):
         history.append(OdometrySample(0.1 * k, 0.1 * k, 8.0, 0.3))
-    reckoned = history.odometry_pose(0.2)
+    odometry_pose = history.odometry_pose(0.2)
     rear = moved[1, :2] - 2.7 * np.array([np.cos(moved[1, 2]), np.sin(moved[1, 2])])
     begin = start[1, :2] - 2.7 * np.array([np.cos(0.4), np.sin(0.4)])
-    assert np.hypot(*reckoned[:2]) == pytest.approx(np.hypot(*(rear - begin)), rel=1e-9)
-    assert reckoned[2] == pytest.approx(moved[1, 2] - 0.4)
+    assert np.hypot(*odometry_pose[:2]) == pytest.approx(np.hypot(*(rear - begin)), rel=1e-9)
+    assert odometry_pose[2] == pytest.approx(moved[1, 2] - 0.4)
 
 
 @pytest.mark.parametrize("pieces", [1, 4])

@@ -10,7 +10,7 @@ from polemap.localize.particle_filter.motion_noise import MEMORY_WINDOWS, WINDOW
 
 NOISE_SD = np.array([0.10, 0.06, 0.006])  # of one step, as the alphas have it
 SCAN_SD = np.array([0.15, 0.12, 0.01])
-NEWS = 0.5
+INDEPENDENT_SHARE = 0.5
 
 
 def drive(true_factors: np.ndarray, config: OdometryConfig, *, seed: int, steps: int) -> NoiseScale:
@@ -31,7 +31,7 @@ def drive(true_factors: np.ndarray, config: OdometryConfig, *, seed: int, steps:
         scale.add_correction(
             (pose + to_world @ error, to_world @ np.diag(prior) @ to_world.T),
             (pose + to_world @ after, to_world @ np.diag(variance) @ to_world.T),
-            NEWS,
+            INDEPENDENT_SHARE,
             trusted=True,
         )
         error = after
@@ -43,7 +43,7 @@ def test_the_true_noise_is_learned_for_each_direction(
     true_factors: tuple[float, float, float],
 ) -> None:
     config = OdometryConfig()
-    steps = round(120 * WINDOW / NEWS)
+    steps = round(120 * WINDOW / INDEPENDENT_SHARE)
     learned = [
         drive(np.array(true_factors), config, seed=seed, steps=steps).factors for seed in range(8)
     ]

@@ -110,7 +110,7 @@ def test_samples_that_are_not_finite_are_counted_and_survived() -> None:
     assert np.isfinite([e.pose for e in estimates]).all()
 
 
-def test_the_cloud_learns_how_far_the_car_slips() -> None:
+def test_the_filter_learns_how_far_the_car_slips() -> None:
     """Both cars begin with the same guess; what is learned leans to the truth of each."""
     learned = {}
     for slip in (0.003, 0.009):

@@ -118,7 +118,7 @@ def test_low_variance_sampler_is_unbiased() -> None:
     np.testing.assert_allclose(total / runs, 7 * weights, atol=5 * 0.5 / np.sqrt(runs))
 
 
-def test_kld_needs_more_particles_for_a_wider_cloud() -> None:
+def test_kld_needs_more_particles_for_a_wider_spread() -> None:
     rng = np.random.default_rng(0)
     flat = np.full(3000, 1 / 3000)
     narrow = kld_count(rng.normal(0, [0.05, 0.05, 0.01], (3000, 3)), flat, **KLD)

@@ -33,7 +33,7 @@ def test_draws_come_from_candidates_and_gnss() -> None:
     assert len(draw_poses(100, None, good, rng)) == 100
 
 
-def looked_around(world: PoleMap, pose: np.ndarray, reach_m: float = 40.0) -> PlaceSearch:
+def searched_around(world: PoleMap, pose: np.ndarray, reach_m: float = 40.0) -> PlaceSearch:
     """Stands at the pose, which dead reckoning takes for its origin, and has seen what is near."""
     relocation = PlaceSearch(world, RecoveryConfig(), GnssReceiver())
     local = seen_from(world, pose, reach_m)
@@ -48,7 +48,7 @@ def test_a_place_is_confirmed_where_it_is_and_contradicted_elsewhere() -> None:
         rng = np.random.default_rng(seed)
         world = street(rng, count=500)
         pose = np.array([*rng.uniform(-150, 150, 2), rng.uniform(-np.pi, np.pi)])
-        relocation = looked_around(world, pose)
+        relocation = searched_around(world, pose)
         wrong = pose + np.array([5.0, -3.0, 0.3])
         here = relocation.verify(pose, 2.0, np.zeros(3), rng)
         verdicts.append((here, relocation.verify(wrong, 2.0, np.zeros(3), rng)))
@@ -61,7 +61,7 @@ def test_a_proven_place_gives_way_to_one_place_only_and_not_easily() -> None:
     lone = street(rng, count=60, extent_m=100.0)
 
     def verdict(world: PoleMap, reach_m: float, proven: bool) -> str:
-        seen = looked_around(world, pose, reach_m)
+        seen = searched_around(world, pose, reach_m)
         return seen.verify(wrong, 2.0, np.zeros(3), rng, proven=proven)
 
     assert verdict(lone, 40.0, True) == "contradicted"
@@ -77,7 +77,7 @@ def test_a_proven_place_is_not_left_for_itself() -> None:
     """Half a metre beside the pose more poles fit better: dead reckoning bends constellations."""
     rng = np.random.default_rng(0)
     pose = np.array([0.0, 0.0, 0.5])
-    seen = looked_around(street(rng, count=60, extent_m=100.0), pose)
+    seen = searched_around(street(rng, count=60, extent_m=100.0), pose)
     beside = pose + np.array([0.5, 0.0, 0.0])
     assert seen.verify(beside, 2.0, np.zeros(3), rng) == "contradicted"
     assert seen.verify(beside, 2.0, np.zeros(3), rng, proven=True) != "contradicted"
@@ -87,10 +87,10 @@ def test_two_places_alike_or_few_poles_leave_the_place_open() -> None:
     rng = np.random.default_rng(0)
     pose = np.array([0.0, 0.0, 0.5])
     lone = street(rng, count=60, extent_m=100.0)
-    assert looked_around(lone, pose).verify(pose, 2.0, np.zeros(3), rng) == "confirmed"
-    assert looked_around(twice(lone), pose).verify(pose, 2.0, np.zeros(3), rng) == "open"
+    assert searched_around(lone, pose).verify(pose, 2.0, np.zeros(3), rng) == "confirmed"
+    assert searched_around(twice(lone), pose).verify(pose, 2.0, np.zeros(3), rng) == "open"
     nearest = np.sort(np.hypot(*(lone.points_m - pose[:2]).T))
-    few = looked_around(lone, pose, float(nearest[:4].mean()))
+    few = searched_around(lone, pose, float(nearest[:4].mean()))
     assert few.verify(pose, 2.0, np.zeros(3), rng) == "open"
 
 
@@ -106,9 +106,9 @@ def test_a_standing_car_does_not_start_by_gnss_until_it_has_driven() -> None:
     for k in range(10):
         stamp, way = 61.0 + k, 3.0 * (k + 1)
         fix = GnssFix(stamp, stamp, way + float(rng.normal(0, 0.3)), 0.0, 1.0)
-        reckoned = np.array([way, 0.0, 0.0])
-        relocation.add_fix(fix, reckoned)
-        drawn = relocation.draw_start(100, stamp, reckoned, rng)
+        odometry_pose = np.array([way, 0.0, 0.0])
+        relocation.add_fix(fix, odometry_pose)
+        drawn = relocation.draw_start(100, stamp, odometry_pose, rng)
         if len(drawn):
             break
     assert len(drawn) == 100

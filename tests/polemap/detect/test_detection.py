@@ -126,7 +126,7 @@ def test_hidden_ground_is_not_in_view_and_a_pole_does_not_hide_itself() -> None:
 
 
 @pytest.mark.parametrize("offset", [-0.8, -0.3, 0.4, 0.9])
-def test_refinement_finds_the_disparity_of_a_stem(offset: float) -> None:
+def test_refinement_finds_the_disparity_of_a_candidate(offset: float) -> None:
     pole = Thing(11.3, 0.7, 0.3, 3.5)
     left, right, _ = street([pole], np.random.default_rng(5))
     forward = pole.x_m - RIG.vehicle_from_camera.x_m

@@ -38,7 +38,7 @@ def test_finds_a_fraction_of_a_pixel() -> None:
 
 
 @pytest.mark.parametrize("column", [0.0, 2.0])
-def test_a_stem_whose_partner_is_out_of_the_picture_keeps_its_disparity(column: float) -> None:
+def test_a_candidate_whose_partner_is_out_of_the_picture_keeps_its_disparity(column: float) -> None:
     left, right = _pair(12.0)
     assert _fit(left, right, column, 60.0) == (60.0, False)
 
@@ -92,7 +92,7 @@ def _plain(
     return shift, sd, bool(trusted and sd < 0.5 and shift > 0.5)
 
 
-def test_all_stems_at_once_are_fitted_as_one_after_the_other() -> None:
+def test_all_candidates_at_once_are_fitted_as_one_after_the_other() -> None:
     left, right = _pair(12.3)
     rng = np.random.default_rng(4)
     noise = rng.integers(0, 9, (2, *left.shape)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""A sweep over a drive with images: looked at once, tracked anew at every frame rate."""
+"""A sweep over a drive with images: detected once, tracked anew at every frame rate."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ CONFIG = SimulateConfig(
 
 
 @pytest.mark.slow
-def test_images_are_looked_at_once(tmp_path: Path) -> None:
+def test_poles_of_images_are_detected_once(tmp_path: Path) -> None:
     drive, run, cache = tmp_path / "drive", tmp_path / "run", tmp_path / "cache"
     simulate_drive(STREET, drive, 1, 3, CONFIG, objects=True)
     few = ["--set", "localize.particles=80", "--set", "localize.output.rate_hz=20"]
     words = ["localize", drive, "--map", drive / "objects.geojson", "--out", run, *few]
     words += ["--cache", cache, "--workers", 1]
     assert cli.run([str(word) for word in words]) == cli.GOOD
-    looks = {path: path.stat().st_mtime_ns for path in cache.iterdir()}
+    detection_files = {path: path.stat().st_mtime_ns for path in cache.iterdir()}
     with (drive / "frames.csv").open() as stream:
         frames = len(list(csv.DictReader(stream)))
-    assert len(looks) == -(-frames // 20) >= 2
+    assert len(detection_files) == -(-frames // 20) >= 2
     (kept,) = read_run_set(run).runs
     assert {"disparity_ms", "detection_ms", "tracking_ms", "particle_filter_ms"} < set(kept.timings)
     assert all(np.nanmin(kept.timings[f"{name}_ms"]) > 0.0 for name in ("disparity", "tracking"))
@@ -59,9 +59,9 @@ def test_images_are_looked_at_once(tmp_path: Path) -> None:
     report += ["--sweep", "frame_rate=full,half", "--sweep", "particles=80", "--sweep-runs", 2]
     assert cli.run([str(word) for word in report]) == cli.GOOD
     after = {path: path.stat().st_mtime_ns for path in cache.iterdir()}
-    # nothing was looked at again; the run's own seed stands for itself, so three replays are new
-    assert looks.items() <= after.items()
-    assert len(after) - len(looks) == 3
+    # nothing was detected again; the run's own seed stands for itself, so three replays are new
+    assert detection_files.items() <= after.items()
+    assert len(after) - len(detection_files) == 3
     content = json.loads((tmp_path / "out" / "report.json").read_text())
     full, half = content["sweeps"]["frame_rate"]["street_3"]
     assert full["frame_rate_hz"] == pytest.approx(2.0 * half["frame_rate_hz"]) == 4.0
@@ -81,7 +81,7 @@ def test_images_are_looked_at_once(tmp_path: Path) -> None:
     assert "NIS at the gate" in picture
     assert f"mean {np.nanmean(nis):.2f}" in picture
     # a part of the detections that is lost is found anew, and only that one
-    lost = min(looks)
+    lost = min(detection_files)
     lost.unlink()
     assert cli.run([str(word) for word in report]) == cli.GOOD
     again = {path: path.stat().st_mtime_ns for path in cache.iterdir()}

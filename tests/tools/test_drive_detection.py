@@ -1,4 +1,4 @@
-"""Looking at the frames of a drive in parts, kept on the disk, is looking at them in one go."""
+"""Detecting poles in parts of a drive, kept on the disk, is detecting them in one go."""
 
 from __future__ import annotations
 
@@ -13,8 +13,14 @@ from polemap.drivelog.detections import Detections, VisibleRegion, pole_detectio
 from polemap.drivelog.drive import open_drive
 from polemap.perception import scan_drive
 from polemap.settings import Settings
-from polemap.tools.looking import tracked
-from polemap.tools.scan_cache import RawScans, drive_fingerprint, raw_scans, read_scans, write_scans
+from polemap.tools.detection_cache import (
+    RawScans,
+    drive_fingerprint,
+    raw_scans,
+    read_scans,
+    write_scans,
+)
+from polemap.tools.drive_detection import tracked
 
 
 def same(one: Detections, two: Detections) -> None:
@@ -53,13 +59,13 @@ def test_poles_of_kept_parts_are_those_of_the_images(
         assert kept is not None
         parts += kept.scans
         spent_s.append(kept.spent_s)
-    looked = tracked(drive, parts, settings.polemap)
+    detected = tracked(drive, parts, settings.polemap)
     wanted = scan_drive(drive, settings.polemap, stereo=settings.stereo)
     assert sum(len(scan) for scan in wanted) > 5
-    assert len(looked.scans) == len(wanted) == count
-    for one, two in zip(looked.scans, wanted, strict=True):
+    assert len(detected.scans) == len(wanted) == count
+    for one, two in zip(detected.scans, wanted, strict=True):
         same(one, two)
-    assert list(looked.spent_s["tracking"]) == [scan.stamp_s for scan in wanted]
+    assert list(detected.spent_s["tracking"]) == [scan.stamp_s for scan in wanted]
     # a lower frame rate is tracked anew: as a drive that has only these frames
     rows = np.arange(0, count, 2)
     assert drive.images is not None

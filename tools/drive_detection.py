@@ -26,7 +26,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.jobs import Advance, LocalWorkers, run_jobs
 from polemap.perception import scan_drive
 from polemap.settings import Settings
-from polemap.tools.scan_cache import (
+from polemap.tools.detection_cache import (
     STAGES,
     drive_fingerprint,
     fingerprint,
@@ -36,8 +36,8 @@ from polemap.tools.scan_cache import (
 )
 
 FRAMES_A_TASK = 20
-# What a detection depends on; the rest of the settings may change without looking again.
-_SEEN_BY = ("stereo", "polemap.detection")
+# What a detection depends on; the rest of the settings may change without detecting again.
+_DETECTION_SETTINGS = ("stereo", "polemap.detection")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class DriveDetections:
     """Tracked scans, and the seconds that each stage took, by the scan's stamp."""
 
     scans: tuple[Detections, ...]
@@ -80,7 +80,7 @@ _Job = TypeVar("_Job", bound=Job)
 
 
 @dataclass(frozen=True, slots=True)
-class LookJob:
+class DetectionJob:
     """Detections of the frames `rows` of a drive, to be kept at `target`."""
 
     source: Source
@@ -93,19 +93,19 @@ class LookJob:
         return self.rows[1] - self.rows[0]
 
 
-def look(
+def detect_drive(
     source: Source,
     drive: Drive,
     settings: Settings,
     workers: int,
     cache: Path | None,
     advance: Advance,
-) -> Looked:
+) -> DriveDetections:
     """The tracked poles of a drive, from its images or from the poles that lie beside it.
 
     Args:
         source: where worker processes find `drive`.
-        cache: folder that keeps detections; what is there is not looked at again.
+        cache: folder that keeps detections; what is there is not detected again.
         advance: called with the number of frames that are done.
 
     Raises:
@@ -118,10 +118,10 @@ def look(
         return tracked(drive, drive.scans, settings.polemap)
     with scratch_folder() as fallback:
         known = drive_fingerprint(drive)
-        jobs = look_jobs(source, drive, known, settings, cache or fallback)
+        jobs = detection_jobs(source, drive, known, settings, cache or fallback)
         drop_damaged(jobs, is_readable)
-        run_kept(jobs, do_look, workers, advance)
-        raw, spent_s = read_looks([job.target for job in jobs])
+        run_missing(jobs, detect_frames, workers, advance)
+        raw, spent_s = read_kept_scans([job.target for job in jobs])
         return tracked(drive, raw, settings.polemap, spent_s)
 
 
@@ -131,7 +131,7 @@ def tracked(
     polemap: PolemapConfig,
     spent_s: Mapping[str, Mapping[float, float]] | None = None,
     every: int = 1,
-) -> Looked:
+) -> DriveDetections:
     """Every n-th raw scan, tracked as a drive of that frame rate would be."""
     moments = [perf_counter()]
     thinned = replace(drive, images=None, scans=tuple(raw[::every]))
@@ -140,18 +140,18 @@ def tracked(
         thinned, polemap, lambda _: moments.append(perf_counter()), raw_stereo=seen_here
     )
     tracking = dict(zip((s.stamp_s for s in scans), np.diff(moments).tolist(), strict=True))
-    return Looked(tuple(scans), {**(spent_s or {}), "tracking": tracking})
+    return DriveDetections(tuple(scans), {**(spent_s or {}), "tracking": tracking})
 
 
-def look_jobs(
+def detection_jobs(
     source: Source, drive: Drive, known: str, settings: Settings, folder: Path
-) -> list[LookJob]:
+) -> list[DetectionJob]:
     """The jobs that find the poles of all frames of a drive, and keep them in `folder`.
 
     Args:
         known: fingerprint of the drive.
     """
-    seen = what_is_seen_by(settings)
+    seen = detection_settings(settings)
     key = fingerprint(known, seen, __version__)
     text = settings.model_dump_json(include={"stereo", "polemap"})
     frames = len(drive.frame_stamps_s)
@@ -159,18 +159,18 @@ def look_jobs(
     for first in range(0, frames, FRAMES_A_TASK):
         last = min(first + FRAMES_A_TASK, frames)
         target = str(folder / f"scans-{key}-{first:06d}.npz")
-        jobs.append(LookJob(source, text, (first, last), target))
+        jobs.append(DetectionJob(source, text, (first, last), target))
     return jobs
 
 
-def do_look(job: LookJob) -> None:
-    """Look at the frames of a job and keep what is found."""
+def detect_frames(job: DetectionJob) -> None:
+    """Detect poles in the frames of a job and keep them."""
     settings = Settings.model_validate_json(job.settings)
     raw = raw_scans(_open(job.source), settings.polemap, settings.stereo, range(*job.rows))
     write_scans(Path(job.target), raw)
 
 
-def read_looks(
+def read_kept_scans(
     files: Sequence[str],
 ) -> tuple[list[Detections], dict[str, dict[float, float]]]:
     """What the jobs kept: raw scans, and seconds by stage and stamp.
@@ -191,7 +191,7 @@ def read_looks(
     return scans, spent
 
 
-def is_readable(job: LookJob) -> bool:
+def is_readable(job: DetectionJob) -> bool:
     """Whether what a job kept can be read."""
     return read_scans(Path(job.target)) is not None
 
@@ -205,11 +205,11 @@ def drop_damaged(jobs: Sequence[_Job], is_whole: Callable[[_Job], bool]) -> None
             path.unlink(missing_ok=True)
 
 
-def what_is_seen_by(settings: Settings) -> dict[str, Any]:
+def detection_settings(settings: Settings) -> dict[str, Any]:
     """The settings that a detection depends on, and the content of a classifier of the user's."""
     tree = settings.model_dump(mode="json")
     found: dict[str, Any] = {}
-    for name in _SEEN_BY:
+    for name in _DETECTION_SETTINGS:
         part = tree
         for key in name.split("."):
             part = part[key]
@@ -220,7 +220,7 @@ def what_is_seen_by(settings: Settings) -> dict[str, Any]:
     return found
 
 
-def run_kept(
+def run_missing(
     jobs: Sequence[_Job], do: Callable[[_Job], None], workers: int, advance: Advance
 ) -> None:
     """Do every job whose file is not there yet."""
