@@ -1,4 +1,4 @@
-"""Settings of the simulator: cameras, sensors, latencies, faults; the world is the scenario's."""
+"""Settings of the simulator: cameras, sensors, faults; the world is the scenario's."""
 
 from __future__ import annotations
 
@@ -76,17 +76,6 @@ class ReferenceConfig(_Section):
     kind: Literal["good", "drifting"] = Field(
         "good", description="good is a coupled INS, drifting the source paper's."
     )
-    rate_hz: float = Field(50.0, gt=0.0, description="Poses a second, Hz.")
-
-
-class LatencyConfig(_Section):
-    """When a picture reaches the computer after its exposure, and how many never do."""
-
-    camera_min_s: float = Field(0.05, ge=0.0, description="Least mean latency of a drive, s.")
-    camera_max_s: float = Field(0.15, ge=0.0, description="Largest mean latency of a drive, s.")
-    camera_drop_share: float = Field(
-        0.002, ge=0.0, le=1.0, description="Share of pictures that never arrive."
-    )
 
 
 class DetectorConfig(_Section):
@@ -123,7 +112,6 @@ class SimulateConfig(_Section):
     odometry: OdometryConfig = OdometryConfig()
     gnss: GnssConfig = GnssConfig()
     reference: ReferenceConfig = ReferenceConfig()
-    latency: LatencyConfig = LatencyConfig()
     detector: DetectorConfig = DetectorConfig()
     light: Literal["scenario", "dusk", "overcast"] = Field(
         "scenario", description="Time of day and weather; scenario is what the scenario says."

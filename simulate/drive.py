@@ -85,7 +85,7 @@ def make_plan(
     motion = drive_route(route, scenario.drive, laps, np.random.default_rng([seed, 20]))
     rng = np.random.default_rng([seed, 21])
     rate = config.camera.frame_rate_hz or scenario.drive.frame_rate_hz
-    stamps, arrivals = sensors.frame_times(motion, rate, config.latency, rng)
+    stamps, arrivals = sensors.frame_times(motion, rate, rng)
     bumps = sensors.gauss_markov(stamps, 0.0022, 0.3, rng, 2)
     bumps *= np.minimum(motion.value("speed_mps", stamps) / 5.0, 1.0)[:, None]
     wander = sensors.gauss_markov(stamps, SENSOR.exposure_wander, 4.0, rng)[:, 0]
@@ -257,7 +257,7 @@ def simulate_drive(
         writer.gnss(sensors.gnss(plan.motion, plan.origin_m, config.gnss, rng, world.fronts))
         errors = sensors.REFERENCES[config.reference.kind]
         writer.reference(
-            sensors.reference(plan.motion, plan.origin_m, errors, config.reference.rate_hz, rng)
+            sensors.reference(plan.motion, plan.origin_m, errors, sensors.REFERENCE_RATE_HZ, rng)
         )
         writer.laps(
             Lap(f"lap_{k + 1}", float(a), float(b))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig
+from polemap.simulate.config import GnssConfig, OdometryConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.skyline import Fronts, echoes
 from polemap.vehicle.pose import rotate, wrap_angle
@@ -62,6 +62,7 @@ class ReferenceErrors:
     yaw_sd_rad: float
 
 
+REFERENCE_RATE_HZ = 50.0  # of a coupled INS
 REFERENCES = {
     "good": ReferenceErrors(0.02, 40.0, 0.0008),
     "drifting": ReferenceErrors(0.8, 120.0, 0.004),
@@ -206,15 +207,36 @@ def reference(
     return ReferenceStream(stamps, pose, np.full(len(stamps), max(errors.sd_m, 1e-3)))
 
 
+@dataclass(frozen=True, slots=True)
+class CameraLatency:
+    """When a picture reaches the computer after its exposure, and how many never do.
+
+    Attributes:
+        least_s, largest_s: limits of a drive's mean latency; exposure, transfer and rectification
+            of industrial cameras.
+        drop_share: of the pictures, those that never arrive.
+    """
+
+    least_s: float = 0.05
+    largest_s: float = 0.15
+    drop_share: float = 0.002
+
+
+CAMERA_LATENCY = CameraLatency()
+
+
 def frame_times(
-    motion: Motion, rate_hz: float, config: LatencyConfig, rng: np.random.Generator
+    motion: Motion,
+    rate_hz: float,
+    rng: np.random.Generator,
+    latency: CameraLatency = CAMERA_LATENCY,
 ) -> tuple[Floats, Floats]:
     """Exposure and arrival of every picture that arrives at all."""
     stamps = np.arange(0.05, motion.stamp_s[-1] - 0.05, 1.0 / rate_hz)
-    base = rng.uniform(config.camera_min_s, config.camera_max_s)
+    base = rng.uniform(latency.least_s, latency.largest_s)
     late = arrivals(stamps, base, _CAMERA_JITTER_S, rng)
-    late = np.minimum(late, stamps + config.camera_max_s + 0.05)
-    kept = rng.uniform(size=len(stamps)) >= config.camera_drop_share
+    late = np.minimum(late, stamps + latency.largest_s + 0.05)
+    kept = rng.uniform(size=len(stamps)) >= latency.drop_share
     return stamps[kept], np.maximum.accumulate(late)[kept]
 
 

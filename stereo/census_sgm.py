@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from polemap.stereo.census import census_pairs
-from polemap.stereo.checks import check_pair
+from polemap.stereo.checks import SPECKLE_STEP_PX, check_pair
 from polemap.stereo.config import StepPenalty, StereoConfig
 from polemap.stereo.errors import StereoError
 from polemap.stereo.matching_types import DisparityPair, Image
@@ -17,6 +18,40 @@ from polemap.stereo.rig import StereoRig
 _ALPHA_ONE = 1 << 16
 _SMOOTHING = {"none": 0, "upright": 1, "square": 2}
 _SUBPIXEL = {"none": 0, "parabola": 1, "equiangular": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class KernelOptions:
+    """What the kernel can do otherwise, and no user should turn; figures in `docs/stereo.md`.
+
+    Attributes:
+        smoothing: 1-2-1 sums of the image before all else, since the census of a noisy pixel is
+            noise: `upright` over three rows, which leaves the width of a pole alone, or `square`.
+        subpixel: where between whole pixels: `equiangular` fits the V that the sums are,
+            `parabola` stays too near to the whole pixel.
+        median: a 3x3 median of the winners before the checks.
+        speckle_rows: connected components at least this tall stay, as what is left of a thin
+            pole is.
+        speckle_step_px: neighbours are connected if their disparities differ by no more.
+        outside_cost: matching cost where the partner would lie outside the other image; half of
+            the 24 bits, as of two pixels that have nothing in common.
+        cost_weight: how often the matching cost counts in the sum over paths, beside what each
+            path adds to it. In plain semi-global matching it counts once a path (8), so that one
+            noisy pixel outvotes all paths; 1 counts it once (Drory et al., GCPR 2014).
+        instruction_set: auto, baseline, avx2 or avx512; the result is the same.
+    """
+
+    smoothing: Literal["none", "upright", "square"] = "upright"
+    subpixel: Literal["none", "parabola", "equiangular"] = "equiangular"
+    median: bool = True
+    speckle_rows: int = 16
+    speckle_step_px: float = SPECKLE_STEP_PX
+    outside_cost: int = 12
+    cost_weight: int = 1
+    instruction_set: str = "auto"
+
+
+KERNEL_OPTIONS = KernelOptions()
 
 
 def _law(law: StepPenalty, bits: int) -> tuple[int, int, int, int]:
@@ -30,21 +65,27 @@ class CensusSgm:
 
     Raises:
         ImportError: the extension was not built.
-        StereoError: the machine lacks the instruction set that the configuration asks for.
+        StereoError: the machine lacks the instruction set that `options` ask for.
     """
 
     name = "census_sgm"
 
-    def __init__(self, config: StereoConfig, rig: StereoRig | None = None) -> None:
+    def __init__(
+        self,
+        config: StereoConfig,
+        rig: StereoRig | None = None,
+        options: KernelOptions = KERNEL_OPTIONS,
+    ) -> None:
         census_kernel: Any = import_module("polemap.stereo.native.census_kernel")
 
         self._kernel = census_kernel
         self._config = config
         self._rig = rig
-        if config.instruction_set not in ("auto", *census_kernel.instruction_sets()):
+        self._options = options
+        if options.instruction_set not in ("auto", *census_kernel.instruction_sets()):
             known = ", ".join(census_kernel.instruction_sets())
             raise StereoError(
-                f"instruction_set {config.instruction_set}: this machine has {known}; use auto"
+                f"instruction_set {options.instruction_set}: this machine has {known}; use auto"
             )
         self._by_bits = {bits: self._make(bits) for bits in {8, config.uint16_bits}}
 
@@ -71,12 +112,12 @@ class CensusSgm:
         return DisparityPair(*maps)
 
     def _make(self, bits: int) -> Any:
-        config, penalties = self._config, self._config.penalties
+        config, penalties, options = self._config, self._config.penalties, self._options
         tolerance = config.left_right_tolerance_px
         return self._kernel.CensusMatcher(
             pairs=census_pairs(config.census),
             bits=bits,
-            smoothing=_SMOOTHING[config.smoothing],
+            smoothing=_SMOOTHING[options.smoothing],
             disparities=config.disparities,
             offset=config.min_disparity_px,
             paths=config.paths,
@@ -85,14 +126,14 @@ class CensusSgm:
             across=_law(penalties.across, bits),
             upright=_law(penalties.upright, bits),
             uniqueness_percent=config.uniqueness_percent,
-            subpixel=_SUBPIXEL[config.subpixel],
-            median=config.median,
+            subpixel=_SUBPIXEL[options.subpixel],
+            median=options.median,
             tolerance=-1.0 if tolerance is None else tolerance,
             speckle_px=config.speckle_px,
-            speckle_rows=config.speckle_rows,
-            speckle_step_px=config.speckle_step_px,
-            outside_cost=config.outside_cost,
-            cost_weight=config.cost_weight,
+            speckle_rows=options.speckle_rows,
+            speckle_step_px=options.speckle_step_px,
+            outside_cost=options.outside_cost,
+            cost_weight=options.cost_weight,
             threads=config.threads,
-            instruction_set=config.instruction_set,
+            instruction_set=options.instruction_set,
         )

@@ -13,6 +13,9 @@ from polemap.stereo.rig import StereoRig
 
 Disparity = NDArray[np.float32]
 
+# neighbours are of one component if their disparities differ by no more
+SPECKLE_STEP_PX = 1.0
+
 
 def check_pair(left: Image, right: Image, config: StereoConfig, rig: StereoRig | None) -> None:
     """Refuses what no matcher can work with.

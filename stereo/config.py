@@ -6,8 +6,6 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Preprocessing = Literal["none", "clahe", "rank7x7", "partial_ranks", "census_bytes"]
-
 Census = Literal["tall", "centre5x5", "symmetric7x7"]
 
 LARGEST_PENALTY = 150  # a path cost must fit one byte
@@ -72,24 +70,6 @@ class Penalties(BaseModel):
         return self
 
 
-class OpenCvConfig(BaseModel):
-    """OpenCV's StereoSGBM and what is put in front of it.
-
-    `p1` and `p2` are per squared block pixel and channel, as OpenCV's own examples give them. Of
-    what was measured, CLAHE keeps most poles; ranks and census bytes lose more thin ones.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    mode: Literal["sgbm", "3way", "hh", "hh4"] = Field(
-        default="3way", description="StereoSGBM's own name of its paths."
-    )
-    preprocessing: Preprocessing = Field(default="clahe", description="Done to both images first.")
-    block_size_px: int = Field(default=3, ge=1, le=11, description="Edge of the matched block.")
-    p1: int = Field(default=8, ge=1, description="For a change by one pixel.")
-    p2: int = Field(default=32, ge=2, description="For a greater change.")
-
-
 class StereoConfig(BaseModel):
     """How a pair becomes two disparity maps."""
 
@@ -144,45 +124,17 @@ class StereoConfig(BaseModel):
             "the 24 pairs of opposite pixels of a 7x7 window."
         ),
     )
-    smoothing: Literal["none", "upright", "square"] = Field(
-        default="upright",
-        description=(
-            "1-2-1 sums of the image before all else, since the census of a noisy pixel is "
-            "noise: `upright` over three rows, which leaves the width of a pole alone, or "
-            "`square`."
-        ),
-    )
     uint16_bits: int = Field(
         default=12, ge=8, le=16, description="How many bits of a 16-bit image the camera fills."
     )
-    subpixel: Literal["none", "parabola", "equiangular"] = Field(
-        default="equiangular",
-        description=(
-            "Where between whole pixels: `equiangular` fits the V that the sums are, "
-            "`parabola` stays too near to the whole pixel."
-        ),
-    )
-    median: bool = Field(default=True, description="A 3x3 median of the winners before the checks.")
     speckle_px: int = Field(
         default=400,
         ge=0,
         le=100_000,
         description=(
             "Connected components of fewer pixels are removed, 0 for none, unless they are "
-            "`speckle_rows` tall."
+            "16 rows tall, as what is left of a thin pole is."
         ),
-    )
-    speckle_rows: int = Field(
-        default=16,
-        ge=1,
-        le=100_000,
-        description="Components at least this tall stay, as what is left of a thin pole is.",
-    )
-    speckle_step_px: float = Field(
-        default=1.0,
-        ge=0.0,
-        le=16.0,
-        description="Neighbours are connected if their disparities differ by no more.",
     )
     outlier_chance_max: float = Field(
         default=1.0,
@@ -193,30 +145,9 @@ class StereoConfig(BaseModel):
             "are dropped, in both views; 1 keeps all."
         ),
     )
-    outside_cost: int = Field(
-        default=12,
-        ge=0,
-        le=24,
-        description="Matching cost where the partner would lie outside the other image.",
-    )
-    cost_weight: int = Field(
-        default=1,
-        ge=1,
-        le=16,
-        description=(
-            "How often the matching cost counts in the sum over paths, beside what each "
-            "path adds to it. In plain semi-global matching it counts once a path (8), so "
-            "that one noisy pixel outvotes all paths; 1 counts it once (Drory et al., GCPR "
-            "2014)."
-        ),
-    )
     threads: int = Field(
         default=2,
         ge=1,
         le=64,
         description="1, or 2 (upper and lower half); with `own` also 4. The result is the same.",
     )
-    instruction_set: Literal["auto", "baseline", "avx2", "avx512"] = Field(
-        default="auto", description="For measurements; the result is the same."
-    )
-    opencv: OpenCvConfig = Field(default=OpenCvConfig(), description="Of the alternative matcher.")

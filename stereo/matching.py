@@ -5,10 +5,10 @@ from __future__ import annotations
 import warnings
 from functools import cache
 
-from polemap.stereo.census_sgm import CensusSgm
+from polemap.stereo.census_sgm import KERNEL_OPTIONS, CensusSgm, KernelOptions
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching_types import DisparityPair, Image, StereoMatcher
-from polemap.stereo.opencv_sgbm import OpenCvSgbm
+from polemap.stereo.opencv_sgbm import OPENCV_OPTIONS, OpenCvOptions, OpenCvSgbm
 from polemap.stereo.rig import StereoRig
 from polemap.stereo.trust import DoubtFilter
 
@@ -25,25 +25,34 @@ def _warn_once() -> None:
     warnings.warn(_NO_KERNEL, RuntimeWarning, stacklevel=3)
 
 
-def make_matcher(config: StereoConfig, rig: StereoRig | None = None) -> StereoMatcher:
+def make_matcher(
+    config: StereoConfig,
+    rig: StereoRig | None = None,
+    *,
+    kernel: KernelOptions = KERNEL_OPTIONS,
+    opencv: OpenCvOptions = OPENCV_OPTIONS,
+) -> StereoMatcher:
     """The matcher that `config` names; with a rig it refuses images of another size.
 
-    Warns once where the census matcher's extension is missing, and gives OpenCV's.
+    Warns once where the census matcher's extension is missing, and gives OpenCV's. `kernel` and
+    `opencv` are for measurements.
 
     Raises:
-        StereoError: the machine lacks the instruction set that the configuration asks for.
+        StereoError: the machine lacks the instruction set that `kernel` asks for.
     """
-    matcher = _plain_matcher(config, rig)
+    matcher = _plain_matcher(config, rig, kernel, opencv)
     if config.outlier_chance_max >= 1.0:
         return matcher
     return DoubtFilter(matcher, config.outlier_chance_max)
 
 
-def _plain_matcher(config: StereoConfig, rig: StereoRig | None) -> StereoMatcher:
+def _plain_matcher(
+    config: StereoConfig, rig: StereoRig | None, kernel: KernelOptions, opencv: OpenCvOptions
+) -> StereoMatcher:
     if config.matcher == "opencv_sgbm":
-        return OpenCvSgbm(config, rig)
+        return OpenCvSgbm(config, rig, opencv)
     try:
-        return CensusSgm(config, rig)
+        return CensusSgm(config, rig, kernel)
     except ImportError:
         _warn_once()
-        return OpenCvSgbm(config, rig)
+        return OpenCvSgbm(config, rig, opencv)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Literal, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.stereo.census import census_planes, partial_ranks, rank_transform
-from polemap.stereo.checks import check_left_right, check_pair, without_speckles
-from polemap.stereo.config import Preprocessing, StereoConfig
+from polemap.stereo.checks import SPECKLE_STEP_PX, check_left_right, check_pair, without_speckles
+from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching_types import DisparityPair, Image
 from polemap.stereo.rig import StereoRig
+
+Preprocessing = Literal["none", "clahe", "rank7x7", "partial_ranks", "census_bytes"]
 
 _MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
@@ -23,6 +25,31 @@ _MODES = {
     "hh4": cv2.STEREO_SGBM_MODE_HH4,
 }
 _SUBPIXELS = 16.0
+
+
+@dataclass(frozen=True, slots=True)
+class OpenCvOptions:
+    """StereoSGBM's own options, and what is put in front of it.
+
+    Of what was measured (`benchmarks.stereo.accuracy`), CLAHE keeps most poles; ranks and census
+    bytes lose more thin ones.
+
+    Attributes:
+        mode: StereoSGBM's own name of its paths.
+        preprocessing: done to both images first.
+        block_size_px: edge of the matched block.
+        p1, p2: penalties of a change by one pixel and by more, per squared block pixel and
+            channel, as OpenCV's own examples give them.
+    """
+
+    mode: Literal["sgbm", "3way", "hh", "hh4"] = "3way"
+    preprocessing: Preprocessing = "clahe"
+    block_size_px: int = 3
+    p1: int = 8
+    p2: int = 32
+
+
+OPENCV_OPTIONS = OpenCvOptions()
 
 
 def preprocess(image: Image, kind: Preprocessing) -> NDArray[np.uint8]:
@@ -51,9 +78,15 @@ class OpenCvSgbm:
 
     name = "opencv_sgbm"
 
-    def __init__(self, config: StereoConfig, rig: StereoRig | None = None) -> None:
+    def __init__(
+        self,
+        config: StereoConfig,
+        rig: StereoRig | None = None,
+        options: OpenCvOptions = OPENCV_OPTIONS,
+    ) -> None:
         self._config = config
         self._rig = rig
+        self._options = options
 
     def match(self, left: Image, right: Image) -> DisparityPair:
         """Both disparity maps of a rectified pair.
@@ -62,7 +95,7 @@ class OpenCvSgbm:
             StereoError: images of different size or type, or too small for the search range.
         """
         check_pair(left, right, self._config, self._rig)
-        kind = self._config.opencv.preprocessing
+        kind = self._options.preprocessing
         with ThreadPoolExecutor(max_workers=2) as pool:
             left8, right8 = pool.map(lambda image: preprocess(image, kind), (left, right))
             flipped = [np.ascontiguousarray(image[:, ::-1]) for image in (right8, left8)]
@@ -71,29 +104,29 @@ class OpenCvSgbm:
             left_map = left_job.result()
             right_map = np.ascontiguousarray(right_job.result()[:, ::-1])
         pair = check_left_right(left_map, right_map, self._config.left_right_tolerance_px)
-        least, step = self._config.speckle_px, self._config.speckle_step_px
+        least = self._config.speckle_px
         return replace(
             pair,
-            left=without_speckles(pair.left, least, step),
-            right=without_speckles(pair.right, least, step),
+            left=without_speckles(pair.left, least, SPECKLE_STEP_PX),
+            right=without_speckles(pair.right, least, SPECKLE_STEP_PX),
         )
 
     def _left_map(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
-        config, settings = self._config, self._config.opencv
+        config, options = self._config, self._options
         channels = 3 if left.ndim == 3 else 1
-        scale = channels * settings.block_size_px**2
+        scale = channels * options.block_size_px**2
         # StereoSGBM leaves the first columns of its search range empty: a border keeps them
         border = config.min_disparity_px + config.disparities
         matcher = cv2.StereoSGBM.create(
             minDisparity=config.min_disparity_px,
             numDisparities=config.disparities,
-            blockSize=settings.block_size_px,
-            P1=settings.p1 * scale,
-            P2=settings.p2 * scale,
+            blockSize=options.block_size_px,
+            P1=options.p1 * scale,
+            P2=options.p2 * scale,
             disp12MaxDiff=-1,
             preFilterCap=63,
             uniquenessRatio=config.uniqueness_percent,
-            mode=_MODES[settings.mode],
+            mode=_MODES[options.mode],
         )
         pads = (0, 0, border, 0, cv2.BORDER_REPLICATE)
         raw = matcher.compute(cv2.copyMakeBorder(left, *pads), cv2.copyMakeBorder(right, *pads))

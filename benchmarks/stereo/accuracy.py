@@ -22,7 +22,7 @@ from benchmarks.harness import RECORDINGS
 from benchmarks.stereo.curves import fitted_law, signs
 from benchmarks.stereo.pairs import Pair, read_pairs
 from benchmarks.stereo.scenes import PoleScore, rendered_scene, score_poles
-from benchmarks.stereo.variants import variants
+from benchmarks.stereo.variants import Variant, variants
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
 from polemap.stereo.matching import StereoMatcher, make_matcher
@@ -94,9 +94,9 @@ def trust_laws(pairs: list[Pair]) -> dict[str, TrustLaw]:
     return found
 
 
-def score_rendered(config: StereoConfig, seeds: range, **scene: float) -> dict[str, float]:
+def score_rendered(variant: Variant, seeds: range, **scene: float) -> dict[str, float]:
     """Poles of `benchmarks/stereo/scenes.py`, both views."""
-    matcher = make_matcher(config)
+    matcher = variant.matcher(disparities=64)
     sums = [PoleScore(), PoleScore()]
     wrong = known = 0
     for seed in seeds:
@@ -123,15 +123,14 @@ def _show(name: str, row: dict[str, float]) -> None:
 def run() -> dict[str, dict[str, float]]:
     """For `python -m benchmarks`: the default matcher and OpenCV's on what this machine has."""
     results = {}
-    chosen = {name: config for name, config in variants().items() if name.startswith("census")}
+    chosen = {name: variant for name, variant in variants().items() if name.startswith("census")}
     chosen["opencv 3way none 5 16"] = variants()["opencv 3way none 5 16"]
     for folder in ("kitti_2015", "kitti_raw", "middlebury"):
         pairs = list(read_pairs(RECORDINGS / folder)) if (RECORDINGS / folder).exists() else []
-        for name, config in chosen.items() if pairs else ():
-            results[f"{folder} {name}"] = score(make_matcher(config), pairs)
-    for name, config in chosen.items():
-        small = config.model_copy(update={"disparities": 64})
-        results[f"rendered poles {name}"] = score_rendered(small, range(8))
+        for name, variant in chosen.items() if pairs else ():
+            results[f"{folder} {name}"] = score(variant.matcher(), pairs)
+    for name, variant in chosen.items():
+        results[f"rendered poles {name}"] = score_rendered(variant, range(8))
     return results
 
 
@@ -153,22 +152,22 @@ def main() -> None:
             print(calibrate(make_matcher(StereoConfig()), pairs).sd_px_table)
             print(*trust_laws(pairs).items(), sep="\n")
             continue
-        for name, config in variants().items():
-            matcher = make_matcher(config)
+        for name, variant in variants().items():
+            matcher = variant.matcher()
             _show(f"{folder.name} {name}", score(matcher, pairs))
             if name == "census" and len(pairs) > 3:
                 for half in (0, 1):
                     _show(f"{folder.name} {name}, half {half + 1}", score(matcher, pairs[half::2]))
     if options.folders:
         return
-    for name, config in variants(64).items():
-        _show(f"poles {name}", score_rendered(config, range(8)))
-    default = StereoConfig(disparities=64)
+    for name, variant in variants().items():
+        _show(f"poles {name}", score_rendered(variant, range(8)))
+    default = Variant(StereoConfig())
     for change in ({}, {"gain": 0.7}, {"gamma": 1.3}, {"vignetting": 0.4}, {"noise_sd": 4.0}):
         _show(f"poles {change or 'as they are'}", score_rendered(default, range(4), **change))
     for bits in (12, 16):
-        config = StereoConfig(disparities=64, uint16_bits=bits)
-        _show(f"poles {bits} bit", score_rendered(config, range(4), bits=bits))
+        variant = Variant(StereoConfig(uint16_bits=bits))
+        _show(f"poles {bits} bit", score_rendered(variant, range(4), bits=bits))
 
 
 if __name__ == "__main__":

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.stereo.pairs import Pair, read_pairs
-from benchmarks.stereo.variants import variants
-from polemap.stereo.checks import without_speckles
+from benchmarks.stereo.variants import Variant, variants
+from polemap.stereo.checks import SPECKLE_STEP_PX, without_speckles
 from polemap.stereo.config import StereoConfig
-from polemap.stereo.matching import DisparityPair, make_matcher
+from polemap.stereo.matching import DisparityPair
 from polemap.stereo.trust import OFFSET_LEAST_PX, TrustLaw, column_offset_px, disagreement_px
 
 DENSITIES = (93, 92, 91, 90, 89, 88, 86, 84, 82, 80, 78, 75, 70)
@@ -125,25 +125,25 @@ def by_margin(pairs: list[Pair], maps: list[DisparityPair]) -> Points:
 
 
 def _cleaned(maps: DisparityPair, size: int) -> DisparityPair:
-    left = without_speckles(maps.left, size, StereoConfig().speckle_step_px)
+    left = without_speckles(maps.left, size, SPECKLE_STEP_PX)
     return replace(maps, left=left)
 
 
-def _census(name: str, config: StereoConfig, pairs: list[Pair]) -> Iterator[tuple[str, Points]]:
+def _census(name: str, variant: Variant, pairs: list[Pair]) -> Iterator[tuple[str, Points]]:
     for size in SPECKLES_PX:
-        matcher = make_matcher(config.model_copy(update={"speckle_px": size}))
+        matcher = variant.matcher(speckle_px=size)
         maps = [matcher.match(pair.left, pair.right) for pair in pairs]
         samples = [signs(*both) for both in zip(pairs, maps, strict=True)]
         yield f"{name}, speckles {size}, by trust", by_trust(samples)
-        if size == config.speckle_px:
+        if size == variant.config.speckle_px:
             yield f"{name}, speckles {size}, by margin", by_margin(pairs, maps)
 
 
-def _opencv(name: str, config: StereoConfig, pairs: list[Pair]) -> Iterator[tuple[str, Points]]:
+def _opencv(name: str, variant: Variant, pairs: list[Pair]) -> Iterator[tuple[str, Points]]:
     own: dict[int, Points] = {size: [] for size in SPECKLES_PX}
     for percent in UNIQUENESS_PERCENT:
         change = {"uniqueness_percent": percent, "speckle_px": 0}
-        matcher = make_matcher(config.model_copy(update=change))
+        matcher = variant.matcher(**change)
         maps = [matcher.match(pair.left, pair.right) for pair in pairs]
         for size in SPECKLES_PX:
             cleaned = [_cleaned(found, size) for found in maps]
@@ -158,11 +158,11 @@ def _opencv(name: str, config: StereoConfig, pairs: list[Pair]) -> Iterator[tupl
 
 def curves(pairs: list[Pair]) -> Iterator[tuple[str, Points]]:
     """Name and `(density, error)` in percent of every matcher and way of thinning."""
-    for name, config in variants().items():
-        if config.matcher == "census_sgm":
-            yield from _census(name, config, pairs)
+    for name, variant in variants().items():
+        if variant.config.matcher == "census_sgm":
+            yield from _census(name, variant, pairs)
         else:
-            yield from _opencv(name, config, pairs)
+            yield from _opencv(name, variant, pairs)
 
 
 def draw(found: dict[str, Points], path: Path) -> None:

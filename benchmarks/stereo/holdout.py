@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.stereo.accuracy import score_rendered
 from benchmarks.stereo.curves import Signs, at_densities, signs
 from benchmarks.stereo.pairs import Pair, read_pairs
+from benchmarks.stereo.variants import Variant
 from polemap.stereo.config import Penalties, StepPenalty, StereoConfig
 from polemap.stereo.matching import make_matcher
 from polemap.stereo.trust import LAWS
@@ -78,7 +79,7 @@ def candidates(pairs: list[Pair]) -> list[Candidate]:
         config = StereoConfig(penalties=penalties)
         matcher = make_matcher(config)
         samples = [signs(pair, matcher.match(pair.left, pair.right)) for pair in pairs]
-        poles = score_rendered(config.model_copy(update={"disparities": 64}), STREETS)
+        poles = score_rendered(Variant(config), STREETS)
         recall, thin = (
             (poles[f"left{k}"] + poles[f"right{k}"]) / 2 for k in ("_recall", "_thin_recall")
         )

@@ -18,8 +18,10 @@ import numpy as np
 from benchmarks.harness import interleaved, summary
 from benchmarks.stereo.pairs import read_grey
 from benchmarks.stereo.scenes import rendered_scene
-from polemap.stereo.config import OpenCvConfig, StereoConfig
+from polemap.stereo.census_sgm import KernelOptions
+from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import Image, StereoMatcher, make_matcher
+from polemap.stereo.opencv_sgbm import OpenCvOptions
 
 SIZE_PX = (768, 480)
 
@@ -30,18 +32,17 @@ def matchers() -> dict[str, tuple[StereoMatcher, int]]:
     for disparities in (64, 128):
         for kind in import_module("polemap.stereo.native.census_kernel").instruction_sets():
             for paths, right in ((8, "shared"), (4, "own"), (8, "own")):
-                config = StereoConfig(
-                    disparities=disparities, paths=paths, right_map=right, instruction_set=kind
-                )
+                config = StereoConfig(disparities=disparities, paths=paths, right_map=right)
+                kernel = KernelOptions(instruction_set=kind)
                 name = f"census_{kind}_{paths}paths_{right}_{disparities}"
-                found[name] = make_matcher(config), disparities
+                found[name] = make_matcher(config, kernel=kernel), disparities
         for mode in ("sgbm", "3way"):
-            config = StereoConfig(
-                matcher="opencv_sgbm",
-                disparities=disparities,
-                opencv=OpenCvConfig(mode=mode, preprocessing="none"),
+            config = StereoConfig(matcher="opencv_sgbm", disparities=disparities)
+            opencv = OpenCvOptions(mode=mode, preprocessing="none")
+            found[f"opencv_{mode}_{disparities}"] = (
+                make_matcher(config, opencv=opencv),
+                disparities,
             )
-            found[f"opencv_{mode}_{disparities}"] = make_matcher(config), disparities
     return found
 
 

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-from polemap.stereo.config import OpenCvConfig, StereoConfig
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.matching import StereoMatcher, make_matcher
+from polemap.stereo.opencv_sgbm import OPENCV_OPTIONS, OpenCvOptions
 
 
-def variants(disparities: int = 128) -> dict[str, StereoConfig]:
+@dataclass(frozen=True)
+class Variant:
+    """Settings of a matcher, and StereoSGBM's own options."""
+
+    config: StereoConfig
+    opencv: OpenCvOptions = OPENCV_OPTIONS
+
+    def matcher(self, **changes: Any) -> StereoMatcher:
+        """The matcher, with some settings changed."""
+        return make_matcher(self.config.model_copy(update=changes), opencv=self.opencv)
+
+
+def variants(disparities: int = 128) -> dict[str, Variant]:
     """The census matcher's main settings, and OpenCV behind every preprocessing."""
     found = {
-        "census": StereoConfig(disparities=disparities),
-        "census shared": StereoConfig(disparities=disparities, right_map="shared"),
-        "census 4 paths": StereoConfig(disparities=disparities, paths=4),
+        "census": Variant(StereoConfig(disparities=disparities)),
+        "census shared": Variant(StereoConfig(disparities=disparities, right_map="shared")),
+        "census 4 paths": Variant(StereoConfig(disparities=disparities, paths=4)),
     }
     base: dict[str, Any] = {"matcher": "opencv_sgbm", "disparities": disparities}
     settings: list[dict[str, Any]] = [
@@ -26,8 +41,8 @@ def variants(disparities: int = 128) -> dict[str, StereoConfig]:
     ]
     for options in settings:
         name = f"opencv 3way {options['preprocessing']} {options['block_size_px']} {options['p1']}"
-        found[name] = StereoConfig(**base, opencv=OpenCvConfig(**options))
+        found[name] = Variant(StereoConfig(**base), OpenCvOptions(**options))
     for mode in ("sgbm", "hh"):
         options = {**settings[0], "mode": mode}
-        found[f"opencv {mode} none 5 16"] = StereoConfig(**base, opencv=OpenCvConfig(**options))
+        found[f"opencv {mode} none 5 16"] = Variant(StereoConfig(**base), OpenCvOptions(**options))
     return found

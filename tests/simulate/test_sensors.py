@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polemap.simulate import sensors
-from polemap.simulate.config import GnssConfig, LatencyConfig, OdometryConfig
+from polemap.simulate.config import GnssConfig, OdometryConfig
 from polemap.simulate.driver import Motion, drive_route
 from polemap.simulate.route import make_route
 from polemap.simulate.scenario import Scenario
@@ -128,11 +128,11 @@ def test_references_are_good_or_drift(motion: Motion, kind: str, low: float, hig
 
 
 def test_pictures_arrive_late_in_order_and_some_never(motion: Motion) -> None:
-    config = LatencyConfig(camera_drop_share=0.2)
-    stamps, late = sensors.frame_times(motion, 20.0, config, np.random.default_rng(1))
+    latency = sensors.CameraLatency(drop_share=0.2)
+    stamps, late = sensors.frame_times(motion, 20.0, np.random.default_rng(1), latency)
     delay = late - stamps
-    assert delay.min() >= config.camera_min_s
-    assert delay.max() <= config.camera_max_s + 0.06
+    assert delay.min() >= latency.least_s
+    assert delay.max() <= latency.largest_s + 0.06
     assert np.all(np.diff(late) >= 0)
     share = len(stamps) / (motion.stamp_s[-1] * 20)
     assert share == pytest.approx(0.8, abs=0.06)

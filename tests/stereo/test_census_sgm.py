@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import tests.stereo.census_reference as reference
 from polemap.stereo.census import census_pairs
+from polemap.stereo.census_sgm import KernelOptions
 from polemap.stereo.config import Penalties, StepPenalty, StereoConfig
 from polemap.stereo.errors import StereoError
 from polemap.stereo.matching import make_matcher
@@ -122,8 +123,8 @@ def test_a_shifted_image_has_one_disparity_in_both_views(seed, shift, right_map,
 def test_mirrored_and_exchanged_views_give_the_mirrored_maps(seed, paths, median):
     left = textured(seed, (30, 120)).astype(np.uint8)
     right = np.roll(left, -7, axis=1)
-    config = StereoConfig(disparities=32, right_map="own", paths=paths, median=median)
-    matcher = make_matcher(config)
+    config = StereoConfig(disparities=32, right_map="own", paths=paths)
+    matcher = make_matcher(config, kernel=KernelOptions(median=median))
     pair = matcher.match(left, right)
     mirrored = matcher.match(right[:, ::-1], left[:, ::-1])
     for one, two in (("left", "right"), ("left_unchecked", "right_unchecked")):
@@ -166,7 +167,7 @@ def test_what_the_matcher_refuses():
         matcher.match(bright, bright[:, :-1])
     if "avx512" not in INSTRUCTION_SETS:
         with pytest.raises(StereoError, match="instruction_set"):
-            make_matcher(StereoConfig(instruction_set="avx512"))
+            make_matcher(StereoConfig(), kernel=KernelOptions(instruction_set="avx512"))
     with pytest.raises(ValueError, match="out of its range"):
         run(bright, bright, reference.Settings(upright=(20, 200, 200, 0)))
     with pytest.raises(ValueError, match="p1 <= p2_min"):

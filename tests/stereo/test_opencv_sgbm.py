@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polemap.stereo.config import OpenCvConfig, StereoConfig
+from polemap.stereo.config import StereoConfig
 from polemap.stereo.errors import StereoError
-from polemap.stereo.opencv_sgbm import OpenCvSgbm
+from polemap.stereo.opencv_sgbm import OpenCvOptions, OpenCvSgbm
 from polemap.stereo.rig import StereoRig
 
 
@@ -21,9 +21,9 @@ def shifted_pair(shift: int, dtype: type = np.uint8) -> tuple[np.ndarray, np.nda
 @pytest.mark.parametrize("preprocessing", ["none", "clahe", "rank7x7", "partial_ranks"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_a_shifted_texture_has_one_disparity_in_both_views(preprocessing, dtype):
-    config = StereoConfig(disparities=32, opencv=OpenCvConfig(preprocessing=preprocessing))
+    config = StereoConfig(disparities=32)
     left, right = shifted_pair(11, dtype)
-    pair = OpenCvSgbm(config).match(left, right)
+    pair = OpenCvSgbm(config, options=OpenCvOptions(preprocessing=preprocessing)).match(left, right)
     for disparity, columns in ((pair.left, slice(20, 190)), (pair.right, slice(10, 180))):
         inner = disparity[5:-5, columns]
         assert np.isfinite(inner).mean() > 0.95
