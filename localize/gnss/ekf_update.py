@@ -11,7 +11,8 @@ from math import inf
 import numpy as np
 
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
-from polemap.localize.output_filter.rejection import weigh_by_gnss
+from polemap.localize.output_filter.failed_gate import weigh_by_gnss
+from polemap.localize.output_filter.gate import fails_gate
 from polemap.localize.output_filter.state import FilterState, GnssEvent
 from polemap.vehicle.kalman import innovate, joseph_update
 from polemap.vehicle.packed import SIZE, as_mean, pack, unpack
@@ -31,14 +32,11 @@ def update_by_gnss(
     event: GnssEvent,
     receiver: GnssReceiver,
     limit: float,
-    *,
-    gated: bool = True,
 ) -> FilterState:
     """The state after a fix at its stamp, to which it has been predicted.
 
     Args:
         limit: of the gate, on the squared distance of the position.
-        gated: False takes every fix in.
     """
     state = state._replace(last_gnss_s=state.stamp_s)
     if state.rival is not None:
@@ -55,15 +53,15 @@ def update_by_gnss(
     mean = np.array(state.mean)
     innovation = innovate(off - ratio * mean[_FIX:], covariance, jacobian, noise)
     since = min(state.gnss_rejected_since_s, state.stamp_s)
-    if gated and innovation.nis > limit and state.stamp_s - since >= _RENEWED_AFTER_S:
+    if fails_gate(innovation.nis, limit) and state.stamp_s - since >= _RENEWED_AFTER_S:
         # has the error of the fixes changed? Other satellites have another one
         mean[_FIX:] = 0.0
         covariance[_FIX:, :] = covariance[:, _FIX:] = 0.0
         covariance[_FIX:, _FIX:] = np.eye(2) * receiver.config.sd_m**2
         innovation = innovate(off, covariance, jacobian, noise)
-        renewed = innovation.nis <= limit
+        renewed = not fails_gate(innovation.nis, limit)
         counts = counts._replace(gnss_renewals=counts.gnss_renewals + renewed)
-    if gated and innovation.nis > limit:
+    if fails_gate(innovation.nis, limit):
         counts = counts._replace(gnss_rejections=counts.gnss_rejections + 1)
         rejected = state.gnss_rejected + 1
         return state._replace(counts=counts, gnss_rejected=rejected, gnss_rejected_since_s=since)

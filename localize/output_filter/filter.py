@@ -17,10 +17,15 @@ from polemap.localize.gnss.ekf_update import update_by_gnss
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.start import GnssStart
 from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.output_filter.failed_gate import (
+    reset_odometry,
+    reset_pose,
+    reset_pose_by_fixes,
+)
+from polemap.localize.output_filter.gate import gate_limits
 from polemap.localize.output_filter.noise_model import NoiseModel
 from polemap.localize.output_filter.odometry_update import update_by_odometry
 from polemap.localize.output_filter.pose_update import update_by_pose
-from polemap.localize.output_filter.rejection import reset_odometry, reset_pose, reset_pose_by_fixes
 from polemap.localize.output_filter.state import (
     NEVER,
     Event,
@@ -33,7 +38,6 @@ from polemap.localize.output_filter.state import (
 )
 from polemap.vehicle.delay import Placement, ReplayBuffer
 from polemap.vehicle.kalman import (
-    chi_square_gate,
     is_covariance,
 )
 from polemap.vehicle.packed import (
@@ -45,8 +49,6 @@ from polemap.vehicle.packed import (
 
 Floats = NDArray[np.float64]
 
-# shares of right measurements that pass the gates
-_ODOMETRY_GATE, _GNSS_GATE = 0.9999, 0.99
 # of rejected fixes, without an accepted pose, before the filter starts anew from the fixes
 _GNSS_RESTART_AFTER_S = 5.0
 _NO_LEVER_ARM, _CAR = GnssReceiver(), NoiseModel()
@@ -76,9 +78,7 @@ class OutputFilter:
         self._model = noise
         self._noise = noise.densities(receiver.config.sd_m, receiver.config.correlation_s)
         self._slip = slip_rad_per_mps2
-        self._pose_limit = chi_square_gate(config.pose_gate, 3)
-        self._odometry_limit = chi_square_gate(_ODOMETRY_GATE, 2)
-        self._gnss_limit = chi_square_gate(_GNSS_GATE, 2)
+        self._limits = gate_limits(config)
         self._buffer: ReplayBuffer[FilterState, Event] = ReplayBuffer(
             self._apply, horizon_s=config.horizon_s, capacity=4096
         )
@@ -199,16 +199,14 @@ class OutputFilter:
             mean, upper = ctrv_predict(mean, upper, dt, self._noise, state.slip_rad_per_mps2)
         if isinstance(event, OdometryEvent):
             return update_by_odometry(
-                state, stamp_s, mean, upper, event, self._config, self._odometry_limit
+                state, stamp_s, mean, upper, event, self._config, self._limits.odometry
             )
         state = state._replace(stamp_s=stamp_s, mean=mean, upper=upper)
         if isinstance(event, PoseEvent):
             state = state._replace(slip_rad_per_mps2=event.slip_rad_per_mps2)
-            return update_by_pose(state, event, self._config, self._pose_limit)
+            return update_by_pose(state, event, self._config, self._limits.pose)
         if isinstance(event, GnssEvent):
-            return update_by_gnss(
-                state, event, self._receiver, self._gnss_limit, gated=self._config.gate
-            )
+            return update_by_gnss(state, event, self._receiver, self._limits.gnss)
         counts = state.counts._replace(gnss_restarts=state.counts.gnss_restarts + 1)
         return reset_pose_by_fixes(reset_odometry(state), event.pose, event.upper)._replace(
             counts=counts

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.config import HealthConfig
-from polemap.localize.output_filter.rejection import INFLATE_AFTER_S
+from polemap.localize.output_filter.failed_gate import INFLATE_AFTER_S
 from polemap.localize.output_filter.state import NEVER, FilterState
 
 Floats = NDArray[np.float64]

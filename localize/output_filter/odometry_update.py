@@ -6,6 +6,7 @@ This runs for every odometry event and again in every replay, so it is written i
 from __future__ import annotations
 
 from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.output_filter.gate import fails_gate
 from polemap.localize.output_filter.state import FilterState, OdometryEvent
 from polemap.vehicle.packed import INDEX, Mean, Upper, update_by_two
 
@@ -65,7 +66,7 @@ def update_by_odometry(
         if not turn_doubted:
             rw = (_DOUBTED_RADPS + _DOUBTED_SHARE * abs(rate)) ** 2
             mean, upper = update_by_two(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], rw)
-    elif config.gate and _pair_nis(upper, row_v, row_w, rv, rw, dv, dw) > limit:
+    elif fails_gate(_pair_nis(upper, row_v, row_w, rv, rw, dv, dw), limit):
         rejected = state.odometry_rejected + 1
         counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)
         if rejected > REJECTIONS_MAX:

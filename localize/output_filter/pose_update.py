@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.output_filter.config import OutputConfig
-from polemap.localize.output_filter.rejection import reject, reset_pose
+from polemap.localize.output_filter.failed_gate import reject, reset_pose
+from polemap.localize.output_filter.gate import fails_gate
 from polemap.localize.output_filter.state import NEVER, FilterState, PoseEvent, PoseUpper
 from polemap.vehicle.kalman import angle_residual, innovate, joseph_update, symmetric
 from polemap.vehicle.packed import SIZE, as_mean, pack, unpack
@@ -43,7 +44,7 @@ def update_by_pose(
     residual = angle_residual(np.array(event.pose), np.array(state.mean[:3]), angle_rows=(2,))
     innovation = innovate(residual, covariance, _POSE_ROWS, noise)
     lost = _lost(covariance)
-    if config.gate and innovation.nis > limit and not lost:
+    if fails_gate(innovation.nis, limit) and not lost:
         return reject(state, event, innovation.nis, limit, config)
     if state.last_pose_s == NEVER or lost:
         # GNSS has started the filter, or it is lost: poles know better, and the first that fits,

@@ -9,9 +9,9 @@ import pytest
 
 from polemap.localize.config import HealthConfig, LocalizeConfig
 from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.output_filter.failed_gate import reset_odometry, reset_pose_by_fixes
 from polemap.localize.output_filter.filter import OutputFilter
 from polemap.localize.output_filter.health import distrust
-from polemap.localize.output_filter.rejection import reset_odometry, reset_pose_by_fixes
 from polemap.localize.output_filter.state import NEVER, FilterState, Rival
 from polemap.vehicle.packed import pack, unpack
 

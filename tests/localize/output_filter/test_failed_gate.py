@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from polemap.localize.output_filter.config import OutputConfig
+from polemap.localize.output_filter.failed_gate import INFLATE_AFTER_S
 from polemap.localize.output_filter.filter import OutputFilter
 from polemap.localize.output_filter.noise_model import NoiseModel
 from polemap.localize.output_filter.odometry_update import REJECTIONS_MAX
-from polemap.localize.output_filter.rejection import INFLATE_AFTER_S
 from polemap.vehicle.kalman import chi_square_gate
 from polemap.vehicle.packed import unpack
 from tests.localize.output_events import started_with_odometry
