@@ -14,7 +14,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.plausibility.clocks import LAG_MAX_S, OVERLAP_MIN_S, find_lag
 from polemap.drivelog.plausibility.odometer import of_reference
 from polemap.drivelog.streams import ReferenceStream
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotation, wrap_angle
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -61,8 +61,7 @@ def align(
         a, b = theirs[:, :2].mean(axis=0), ours[:, :2].mean(axis=0)
         p, q = (theirs[:, :2] - a) @ [1.0, 1j], (ours[:, :2] - b) @ [1.0, 1j]
         turn = float(np.angle(np.sum(p.conj() * q)))
-    c, s = np.cos(turn), np.sin(turn)
-    points = (track.poses[:, :2] - a) @ np.array([[c, s], [-s, c]]) + b
+    points = (track.poses[:, :2] - a) @ rotation(turn).T + b
     moved = Trajectory(
         track.stamp_s, np.column_stack([points, wrap_angle(track.poses[:, 2] + turn)])
     )

@@ -16,6 +16,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.vehicle.pose import pose_rotation
+
 Floats = NDArray[np.float64]
 
 
@@ -170,8 +172,7 @@ class PoleInnovations:
         if not steady:
             self.forget()
             return False
-        c, s = np.cos(before[0][2]), np.sin(before[0][2])
-        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        turn = pose_rotation(before[0][2]).T
         moved = after[0] - before[0]
         moved[2] = np.arctan2(np.sin(moved[2]), np.cos(moved[2]))
         self._rows.append((stamp_s, turn @ moved, np.diag(turn @ (before[1] - after[1]) @ turn.T)))

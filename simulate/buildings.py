@@ -18,7 +18,6 @@ class House:
     width_m: float
     depth_m: float
     height_m: float
-    pipes_m: tuple[tuple[float, float], ...]
 
 
 def house(rng: np.random.Generator, width_m: float, storeys: int) -> House:
@@ -62,7 +61,6 @@ def house(rng: np.random.Generator, width_m: float, storeys: int) -> House:
                         TILES["window"],
                     )
                 )
-    pipes = []
     for side in (-1, 1):
         if rng.uniform() < 0.6:
             x = side * (width_m / 2 - 0.15)
@@ -71,9 +69,8 @@ def house(rng: np.random.Generator, width_m: float, storeys: int) -> House:
                     (x, 0.08, 0), (x, 0.08, height), 0.045, 0.045, TILES["metal"], 0.8, sides=8
                 )
             )
-            pipes.append((x, 0.08))
     parts.append(_roof(rng, width_m, depth, height))
-    return House(join(parts), width_m, depth, height, tuple(pipes))
+    return House(join(parts), width_m, depth, height)
 
 
 def _window(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import copysign, hypot, isfinite
+from math import copysign, isfinite
 
 from polemap.drivelog.errors import ConfigError
 from polemap.vehicle.packed import rotate, rotate_back, transform_point
@@ -260,8 +260,3 @@ def patches(
         return default
 
     return friction
-
-
-def ground_speed_mps(state: PlantState) -> float:
-    """Speed of the centre of gravity."""
-    return hypot(state.vx_mps, state.vy_mps)

@@ -96,11 +96,6 @@ class ReplayBuffer(Generic[State, Event]):
         """Stamp of the newest event, or of the base."""
         return self._keys[-1][0] if self._keys else self._base_key[0]
 
-    @property
-    def oldest_stamp_s(self) -> float:
-        """Stamp before which events are too old."""
-        return self._base_key[0]
-
     def reset(self, state: State, stamp_s: float) -> None:
         """Forget everything and start from `state` at `stamp_s`."""
         self._keys.clear()

@@ -14,6 +14,7 @@ from polemap.map.pole_map import PoleMap
 from polemap.simulate.map_faults import with_extra_poles, without_poles
 from polemap.simulate.points.motion import WindingRoad
 from polemap.simulate.stream_faults import GnssOffset, OdometryDropout
+from polemap.vehicle.pose import rotation
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -191,8 +192,7 @@ def doubled_map(shift_m: float, turn_rad: float = 0.0) -> Kind:
 def twice(pole_map: PoleMap, shift_m: float, towards_rad: float, turn_rad: float) -> PoleMap:
     """The map and its copy, shifted and turned about the middle."""
     middle = pole_map.points_m.mean(axis=0)
-    c, s = np.cos(turn_rad), np.sin(turn_rad)
-    copy = (pole_map.points_m - middle) @ np.array([[c, s], [-s, c]]) + middle
+    copy = (pole_map.points_m - middle) @ rotation(turn_rad).T + middle
     copy = copy + shift_m * np.array([np.cos(towards_rad), np.sin(towards_rad)])
     rows = np.tile(np.arange(len(pole_map)), 2)
     names = ("covariance_m2", "width_m", "height_m", "observations", "drives", "existence")

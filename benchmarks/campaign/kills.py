@@ -25,6 +25,7 @@ from pathlib import Path
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import write_map
 from tests.localize.point_drives import street_drive
+from tests.process_groups import members
 
 FEW = ["--set", "localize.particles=150"]
 # where times or the machine stand, the bytes differ from run to run
@@ -88,20 +89,6 @@ def contents(path: Path) -> dict[str, str]:
         for file in files
         if "cache" not in file.relative_to(path).parts
     }
-
-
-def members(group: int) -> list[int]:
-    """Living processes of a process group."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                state, _, its_group = (entry / "stat").read_text().rpartition(")")[2].split()[:3]
-            except (OSError, ValueError):
-                continue
-            if int(its_group) == group and state != "Z":
-                found.append(int(entry.name))
-    return found
 
 
 def killed(command: Command, delay_s: float) -> int:

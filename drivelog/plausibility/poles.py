@@ -18,7 +18,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer
 from polemap.vehicle.motion import move_along_arc
-from polemap.vehicle.pose import rotate_covariance
+from polemap.vehicle.pose import rotate_back, rotate_covariance
 
 Floats = NDArray[np.float64]
 
@@ -155,16 +155,12 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     moves = move_along_arc(np.zeros(3), way, turn)[:, None]
     first = pairs.first.exchanged() if mistake.exchanged else pairs.first
     second = pairs.second.exchanged() if mistake.exchanged else pairs.second
-    c, s = np.cos(moves[..., 2]), np.sin(moves[..., 2])
-    off = first.points_m - moves[..., :2]
-    moved = np.stack(
-        [c * off[..., 0] + s * off[..., 1], -s * off[..., 0] + c * off[..., 1]], axis=-1
-    )
+    moved = rotate_back(first.points_m - moves[..., :2], moves[..., 2])
     spread = rotate_covariance(first.covariance_m2, -turn[:, None])
     total = spread[:, :, None] + second.covariance_m2[:, None] + _FLOOR_M2 * np.eye(2)
-    elapsed_s = moved[:, :, None] - second.points_m[:, None]
+    offset = moved[:, :, None] - second.points_m[:, None]
     xx, yy, xy = total[..., 0, 0], total[..., 1, 1], total[..., 0, 1]
-    x, y = apart[..., 0], apart[..., 1]
+    x, y = offset[..., 0], offset[..., 1]
     square = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
     square = np.where(second.there[:, None, :], square, np.inf)
     nearest = np.exp(-0.5 * square.min(axis=2, initial=np.inf))

@@ -19,6 +19,7 @@ from polemap.map.io import write_map
 from polemap.tools import cli
 from tests.localize.point_drives import street_drive
 from tests.pole_maps import plain_map
+from tests.process_groups import members
 
 POLEMAP = [sys.executable, "-m", "polemap"]
 
@@ -43,20 +44,6 @@ def start(street: Path, out: Path, *, runs: int) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
-
-
-def members(group: int) -> list[int]:
-    """The living processes of a process group."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                state, _, its_group = (entry / "stat").read_text().rpartition(")")[2].split()[:3]
-            except (OSError, ValueError):
-                continue
-            if int(its_group) == group and state != "Z":
-                found.append(int(entry.name))
-    return found
 
 
 def wait_until_at_work(out: Path, group: int) -> None:
