@@ -71,5 +71,5 @@ def test_what_is_no_text_or_no_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.tum").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(InputError, match=r"a\.tum: is not a text file"):
         read_tum(tmp_path / "a.tum")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such trajectory"):
         read_tum(tmp_path)

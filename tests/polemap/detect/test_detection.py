@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from polemap.detect.config import DetectionConfig
+from polemap.detect.constants import AXIS_SHARE
 from polemap.detect.detection import FrameView, detect
 from polemap.detect.features import NAMES
 from polemap.detect.ground import fit_ground, ground_from_mounting
@@ -69,7 +70,7 @@ def test_pole_is_found_where_it_stands(x_m: float, width_m: float, lean: float) 
     view = see([pole])
     found, row = view.detections, nearest(view, pole)
     # a board has no axis behind its surface; the eye assumes a cylinder
-    behind = CONFIG.axis_share * found.width_m[row]
+    behind = AXIS_SHARE * found.width_m[row]
     error = found.points_vehicle_m[row] - (pole.x_m + behind, pole.y_m)
     forward = pole.x_m - RIG.vehicle_from_camera.x_m
     assert abs(error[0]) < 0.2 * forward**2 / (RIG.focal_px * RIG.baseline_m) + 0.03
