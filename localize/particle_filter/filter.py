@@ -36,6 +36,7 @@ from polemap.localize.particle_filter.pole_weigher import (
     tempered,
 )
 from polemap.localize.particle_filter.recovery import Recovery, Step
+from polemap.localize.particle_filter.twins import TwinPoles
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -94,6 +95,7 @@ class ParticleFilter:
         self._used_share = 0.0
         self._trusted = False
         self._odometry = OdometryTrust()
+        self._twins = TwinPoles(pole_map)
 
     @property
     def initialized(self) -> bool:
@@ -244,6 +246,12 @@ class ParticleFilter:
         if config.estimate == "best_mode" and modes:
             # also where the others are too light to count: they would still pull the mean
             pose, spread = modes[0].mean, modes[0].covariance
+        twins = self._twins.offset_at(pose[:2])
+        if twins.any():
+            # of two places as far apart as the map's two surveys nobody knows which
+            spread = spread.copy()
+            spread[:2, :2] += np.outer(twins, twins)
+            major = float(np.hypot(major, np.hypot(*twins)))
         fit = self._weigher.match(pose, scan, self._landmarks)
         self._recovery.lost.add_match(
             scan.stamp_s,
