@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,11 +96,14 @@ def read_table(
     with named(path, InputError, "table"):
         check_csv(path)
     raw = _read_text(path)
-    _check_width(path, len(raw.columns))
+    if _separator(raw) == "" or set(required) <= set(raw.columns):
+        _check_width(path, len(raw.columns))
     for name in (*required, *texts):
         if name not in raw.columns:
             found = ", ".join(str(c)[:30] for c in raw.columns[:20])
-            raise InputError(f"{path}: column '{name}' is missing (found: {found})")
+            raise InputError(
+                f"{path}: column '{name}' is missing (found: {found}){_separator(raw)}"
+            )
     lines = np.arange(len(raw), dtype=np.int64) + 2
     filled = (raw != "").any(axis=1).to_numpy() if len(raw) else np.zeros(0, dtype=bool)
     raw, lines = raw[filled], lines[filled]
@@ -142,10 +146,14 @@ def largest(name: str) -> float:
 
 def _read_text(path: Path) -> pd.DataFrame:
     try:
-        return pd.read_csv(
-            path, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig",
-            skipinitialspace=True, na_filter=False, index_col=False,
-        )  # fmt: skip
+        with warnings.catch_warnings():
+            # rows longer than the header are refused, by line, in `_check_width`
+            warnings.simplefilter("ignore", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                path, dtype=str, keep_default_na=False, skip_blank_lines=False,
+                encoding="utf-8-sig", skipinitialspace=True, na_filter=False, index_col=False,
+            )  # fmt: skip
+        return table.rename(columns=lambda name: str(name).strip())
     except pd.errors.EmptyDataError as error:
         raise InputError(f"{path}: empty file, a header line is needed") from error
     except (ValueError, UnicodeError, OverflowError) as error:
@@ -153,6 +161,15 @@ def _read_text(path: Path) -> pd.DataFrame:
         raise InputError(f"{path}: not a UTF-8 CSV file ({detail[:120]})") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _separator(table: pd.DataFrame) -> str:
+    """What to do about a header that is one cell: other marks than commas, or a comment."""
+    header = str(table.columns[0]) if len(table.columns) == 1 else ""
+    if header.startswith("#"):
+        return "; delete the comment, the header comes first"
+    marked = next((mark for mark in (";", "\t", "|", " ") if mark in header), None)
+    return "; separate columns by commas and write decimals with a point" if marked else ""
 
 
 def _check_width(path: Path, width: int) -> None:

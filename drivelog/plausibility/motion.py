@@ -64,11 +64,12 @@ def speed_findings(
     value = f"its speed is {ratio:.4g} times that of {against} (median of {scales.speed_spans})"
     if ratio <= 0.0:
         sign = "backward" if ratio < 0.0 else "no"
+        remedy = "change the sign of the speed"
         return [
             Finding(
                 "speed_sign", "error", stream, f"it tells {sign} motion where {against} moves "
                 f"forward (ratio {ratio:.3g})", "forward positive, ratio 1",
-                "change the sign of the speed",
+                remedy if ratio < 0.0 else "check that the speed is recorded",
             )
         ]  # fmt: skip
     if turn_alike:

@@ -83,6 +83,8 @@ def of_places(name: str, stamps_s: Floats, points_m: Floats, chord_s: float) -> 
 
     The course is held while the car is too slow for its chords to stand out of the noise.
     """
+    if not len(stamps_s):
+        return None
     # the first place of each span: a stream of places at a high rate is thinned
     keep = np.unique(np.floor((stamps_s - stamps_s[0]) / chord_s), return_index=True)[1]
     stamps, points = stamps_s[keep], points_m[keep]

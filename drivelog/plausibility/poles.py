@@ -29,7 +29,8 @@ _FLOOR_M2, _VARIANCE_MAX_M2 = 0.1**2, 4.0
 # how much better than the motion as told a mistake must agree: standard deviations, and ratio
 _BETTER_SDS, _BETTER_RATIO = 5.0, 1.25
 _LAG_SDS, _LAG_RATIO = 5.0, 1.08
-_SIZES_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0)
+# finely where delays of a sensor lie, then to beyond the 18 leap seconds
+_SIZES_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, *map(float, range(2, 21)))
 LAGS_S = (*(-size for size in _SIZES_S), *_SIZES_S)
 _LAG_DOUBT_S, _LAG_WRONG_S = 0.15, 0.6
 _FEW = 12

@@ -193,6 +193,8 @@ def across_findings(odometry: Odometer, reference: Odometer) -> list[Finding]:
         weight = np.asarray(1.0 / (1.0 + (error / (2.0 * spread)) ** 2))
     information = design.T @ (design * weight[:, None])
     left = float(fit[1])
+    if not np.isfinite(left):
+        return []
     sd = spread * float(np.sqrt(np.linalg.pinv(information)[1, 1]))
     if abs(left) < _ACROSS_M or abs(left) < _LEVER_SDS * sd:
         return []

@@ -77,8 +77,8 @@ class AntennaPart(_Part):
 class DetectorPart(_Part):
     """Where the detector behind poles.csv could have seen a pole (our extension, optional)."""
 
-    x_m: float = _Finite
-    y_m: float = _Finite
+    x_m: float = Field(ge=-15.0, le=15.0)
+    y_m: float = Field(ge=-3.0, le=3.0)
     bearing_min_rad: float = Field(ge=-3.1416, le=3.1416)
     bearing_max_rad: float = Field(ge=-3.1416, le=3.1416)
     range_min_m: float = Field(0.0, ge=0.0)

@@ -19,6 +19,7 @@ from polemap.drivelog.readers.drive_yaml import (
     VehiclePart,
     read_drive_yaml,
 )
+from polemap.drivelog.readers.given import is_given, row_findings
 from polemap.drivelog.readers.poles import read_scans
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
@@ -150,14 +151,16 @@ def _sensor(
     findings: list[Finding],
 ) -> Table:
     table = read_table(path, ("stamp_s", *columns), optional=optional)
-    return count_problems(in_order(table, findings, duplicates="drop"), problems)
+    table = in_order(table, findings, duplicates="drop")
+    findings += row_findings(table)
+    return count_problems(table, problems)
 
 
 def _frames(
     folder: Path, rig: StereoRig | None, findings: list[Finding]
 ) -> tuple[Floats, Floats, ImagePairs | None]:
     path = folder / "frames.csv"
-    if not path.is_file():
+    if not is_given(path):
         return np.empty(0), np.empty(0), None
     if rig is None:
         raise InputError(f"{path}: there are images, but drive.yaml describes no camera")
@@ -187,7 +190,7 @@ def _odometry(
     folder: Path, problems: Counter[str], findings: list[Finding]
 ) -> OdometryStream | None:
     path = folder / "odometry.csv"
-    if not path.is_file():
+    if not is_given(path):
         return None
     table = _sensor(path, ("speed_mps", "yaw_rate_radps"), ("arrival_s",), problems, findings)
     return OdometryStream(
@@ -199,7 +202,7 @@ def _gnss(
     folder: Path, frame: EarthFrame, problems: Counter[str], findings: list[Finding]
 ) -> GnssStream | None:
     path = folder / "gnss.csv"
-    if not path.is_file():
+    if not is_given(path):
         return None
     if frame.is_utm:
         table = _sensor(
@@ -234,7 +237,7 @@ def _reference(
     folder: Path, problems: Counter[str], findings: list[Finding]
 ) -> ReferenceStream | None:
     path = folder / "reference.csv"
-    if not path.is_file():
+    if not is_given(path):
         return None
     table = _sensor(path, ("east_m", "north_m", "yaw_rad"), ("sd_m",), problems, findings)
     poses = np.stack([table["east_m"], table["north_m"], wrap_angle(table["yaw_rad"])], axis=1)
@@ -244,7 +247,7 @@ def _reference(
 
 def _laps(folder: Path, findings: list[Finding]) -> tuple[Lap, ...]:
     path = folder / "laps.csv"
-    if not path.is_file():
+    if not is_given(path):
         return ()
     table = read_table(path, ("start_s", "end_s"), texts=("lap",), drop_not_finite=False)
     table = in_seconds(table, findings, "start_s")

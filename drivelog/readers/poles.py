@@ -13,6 +13,7 @@ from polemap.drivelog.detections import Detections, VisibleRegion, pole_detectio
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.readers.drive_yaml import DetectorPart
+from polemap.drivelog.readers.given import is_given, row_findings
 from polemap.drivelog.stamps import in_order
 from polemap.drivelog.tables import Table, read_table
 
@@ -38,14 +39,16 @@ def read_scans(
         InputError: see `drivelog.tables`.
     """
     poles_path, scans_path = folder / "poles.csv", folder / "scans.csv"
-    if not poles_path.is_file() and not scans_path.is_file():
+    has_poles, has_scans = is_given(poles_path), is_given(scans_path)
+    if not has_poles and not has_scans:
         return (), None
     scan_stamps = np.empty(0)
-    if scans_path.is_file():
+    if has_scans:
         table = in_order(read_table(scans_path, ("stamp_s",)), findings, duplicates="drop")
+        findings += row_findings(table)
         _count(table, problems)
         scan_stamps = table["stamp_s"]
-    poles = _read_poles(poles_path, problems, findings) if poles_path.is_file() else None
+    poles = _read_poles(poles_path, problems, findings) if has_poles else None
     stamps = np.unique(np.concatenate([scan_stamps, poles["stamp_s"]])) if poles else scan_stamps
     if poles and len(scan_stamps):
         unlisted = len(stamps) - len(scan_stamps)
@@ -67,6 +70,7 @@ def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> 
     var_x, var_y = table["var_x_m2"], table["var_y_m2"]
     positive = (var_x > 0) & (var_y > 0) & (var_x * var_y > table["cov_xy_m2"] ** 2)
     table = table.keep(positive, "covariance_not_positive")
+    findings += row_findings(table)
     _count(table, problems)
     return table
 

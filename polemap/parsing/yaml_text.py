@@ -36,6 +36,19 @@ def _loader(base: Any) -> Any:
                     None, None, f"{value}: {short(error)}", node.start_mark
                 ) from error
 
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            seen: set[str] = set()
+            pairs = node.value if isinstance(node, yaml.MappingNode) else []
+            for key, _ in pairs:
+                # of two values the last would win in silence; merged keys may be overridden
+                if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"the key {key.value[:40]} stands twice", key.start_mark
+                    )
+                if isinstance(key, yaml.ScalarNode) and not key.tag.endswith(":merge"):
+                    seen.add(key.value)
+            return super().construct_mapping(node, deep)
+
     return Loader
 
 

@@ -245,3 +245,14 @@ def test_whatever_a_reader_raises_is_one_line(raised: Exception, message: str) -
     kind = ConfigError if isinstance(raised, ConfigError) else InputError
     with pytest.raises(kind, match=message), named("a.yaml", InputError, "map"):
         raise raised
+
+
+@pytest.mark.parametrize("text", ["a: 1\nb: 2\na: 3\n", "x: {k: 1, 'k': 2}\n", "- {a: 1, a: 1}\n"])
+def test_a_key_that_stands_twice_is_no_yaml(text: str) -> None:
+    with pytest.raises(ParsingError, match="stands twice"):
+        parse_yaml(text)
+
+
+def test_a_merged_key_may_be_overridden() -> None:
+    text = "base: &b {a: 1, c: 2}\nmore: {<<: *b, a: 3}\n"
+    assert parse_yaml(text)["more"] == {"a": 3, "c": 2}
