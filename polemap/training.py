@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +91,15 @@ class Judgement:
     reliability: Floats = field(repr=False)
 
 
+class _Observed(NamedTuple):
+    """Hypotheses of one frame: pose `(3,)` of the car, points `(n, 2)`, features `(n, k)`, part."""
+
+    pose: Floats
+    points_vehicle_m: Floats
+    features: Floats
+    part: int
+
+
 def collect(
     drive: Drive,
     pole_map: PoleMap,
@@ -124,34 +133,29 @@ def collect(
         )
     if drive.rig is None or not drive.has_frames or drive.reference is None:
         raise InputError(f"training: drive {drive.name} needs images and a reference")
-    count = len(drive.frame_stamps_s)
     poses = drive.reference.at(drive.frame_stamps_s)
-    observed: list[tuple[Floats, Floats, Floats, int]] = []
-    for row in range(0, count, config.every):
+    observed = []
+    for row in range(0, len(poses), config.every):
         if not np.isfinite(poses[row]).all():
             continue
         frame = drive.read_frame(row)
         disparity = matcher.match(frame.left, frame.right)
         found = detect(frame, disparity, drive.rig, None, detection).detections
-        observed.append((poses[row], found.points_vehicle_m, found.features, row * parts // count))
+        part = row * parts // len(poses)
+        observed.append(_Observed(poses[row], found.points_vehicle_m, found.features, part))
         if progress is not None:
             progress(config.every)
     # a camera out of true puts far poles beside the map's, which would be taken for other things
     offset_px = offset_from_map([one[:2] for one in observed], pole_map, drive.rig)
     features, labels, groups, poles = [], [], [], []
-    for pose, seen, measured, part in observed:
-        points = transform_points(pose, with_disparity(seen, offset_px, drive.rig))
-        slack = config.per_range * np.hypot(*seen.T)
-        nearest, distance = _nearest(points, pole_map.points_m)
-        is_pole = distance <= config.pole_within_m + slack
-        is_other = distance >= config.other_beyond_m + slack
-        if ignore_m is not None and len(ignore_m):
-            is_other &= _nearest(points, ignore_m)[1] > config.other_beyond_m + slack
-        use = (is_pole | is_other) & (np.hypot(*seen.T) <= config.range_max_m)
-        features.append(measured[use])
-        labels.append(is_pole[use])
-        groups.append(np.full(np.count_nonzero(use), part))
-        poles.append(np.where(is_pole, nearest, -1)[use])
+    for one in observed:
+        seen = one.points_vehicle_m
+        points = transform_points(one.pose, with_disparity(seen, offset_px, drive.rig))
+        use, pole = _labelled(points, np.hypot(*seen.T), pole_map.points_m, config, ignore_m)
+        features.append(one.features[use])
+        labels.append(pole[use] >= 0)
+        groups.append(np.full(np.count_nonzero(use), one.part))
+        poles.append(pole[use])
     names = tuple(f"{drive.name}[{part + 1}/{parts}]" for part in range(parts))
     return Samples(
         np.concatenate(features) if features else np.empty((0, len(NAMES))),
@@ -240,6 +244,24 @@ def judge(probability: Floats, is_pole: NDArray[np.bool_], bins: int = 10) -> Ju
         threshold,
         reliability[count > 0],
     )
+
+
+def _labelled(
+    points_m: Floats,
+    range_m: Floats,
+    poles_m: Floats,
+    config: TrainingConfig,
+    ignore_m: Floats | None,
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Which hypotheses `(n,)` can be labelled, and the map pole of each, -1 for other things."""
+    slack = config.per_range * range_m
+    nearest, distance = _nearest(points_m, poles_m)
+    is_pole = distance <= config.pole_within_m + slack
+    is_other = distance >= config.other_beyond_m + slack
+    if ignore_m is not None and len(ignore_m):
+        is_other &= _nearest(points_m, ignore_m)[1] > config.other_beyond_m + slack
+    use = (is_pole | is_other) & (range_m <= config.range_max_m)
+    return use, np.where(is_pole, nearest, -1)
 
 
 def _nearest(points_m: Floats, others_m: Floats) -> tuple[NDArray[np.int64], Floats]:

@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _LINK_ROWS = 4  # slices are linked over so many looked-at rows
+_SUMMED = 5  # values of a slice that are summed over its group at once
 _REACH_PX = 3  # and so many columns
 _DOWN = np.repeat(np.arange(1, _LINK_ROWS + 1), 2 * _REACH_PX + 1)
 _ASIDE = np.tile(np.arange(-_REACH_PX, _REACH_PX + 1), _LINK_ROWS)
@@ -169,55 +170,40 @@ def _link(slices: Slices, rig: StereoRig, config: DetectionConfig) -> tuple[Ints
     return components(n, one[alike], two[alike])
 
 
+class _GroupSums:
+    """Sums over groups of slices, each with the weight that the slice has at the time."""
+
+    def __init__(self, label: Ints, count: int) -> None:
+        self.label, self.count = label, count
+        self.weight = np.ones(len(label))
+        self._place = (label + count * np.arange(_SUMMED)[:, None]).ravel()
+
+    def totals(self, values: Floats) -> Floats:
+        """Weighted sums of `(k, n)` over every group, `(k, count)`, in a single pass."""
+        k = len(values)
+        weighted = (values * self.weight).ravel()
+        place = self._place[: k * len(self.label)]
+        sums = np.bincount(place, weights=weighted, minlength=k * self.count)
+        return sums.astype(np.float64, copy=False).reshape(k, self.count)
+
+
 def _fit(slices: Slices, label: Ints, count: int) -> Hypotheses:
     """Line, width and scatter of every group; slices with label -1 are left out."""
     used = np.flatnonzero(label >= 0)
     label = label[used]
     row, left, right = slices.row_px[used], slices.left_px[used], slices.right_px[used]
-    centre = 0.5 * (left + right)
-    width = right - left + 1.0
-    disparity = slices.disparity_px[used]
-    n_used = len(used)
-    weight = np.ones(n_used)
-    plain = np.concatenate([weight, row, centre, width, disparity]).reshape(5, n_used)
-    place = (label + count * np.arange(len(plain))[:, None]).ravel()
-
-    def totals(values: Floats) -> Floats:
-        """Weighted sums of `(k, n)` over every group, `(k, count)`, in a single pass."""
-        k = len(values)
-        weighted = (values * weight).ravel()
-        sums = np.bincount(place[: k * n_used], weights=weighted, minlength=k * count)
-        return sums.astype(np.float64, copy=False).reshape(k, count)
-
-    moments, off = np.empty((2, n_used)), np.empty((3, n_used))
-    for sweep in range(3):
-        sums = totals(plain)
-        n = np.maximum(sums[0], 1.0)
-        row0, column0, mean_width, mean_disparity = sums[1:] / n
-        dv = row - row0[label]
-        np.multiply(dv, dv, out=moments[0])
-        np.multiply(dv, centre, out=moments[1])
-        spread, slope = totals(moments)
-        slope = slope / np.maximum(spread, 1.0)
-        # a short hypothesis says little about its lean: the upright prior shrinks the slope
-        slope = slope * spread / (spread + 200.0)
-        np.subtract(centre - column0[label], slope[label] * dv, out=off[0])
-        np.subtract(width, mean_width[label], out=off[1])
-        np.subtract(disparity, mean_disparity[label], out=off[2])
-        sd = np.sqrt(totals(off * off) / n)
-        if sweep < 2:
-            limit = 2.0 * sd[:2] + 0.6
-            inlier = np.abs(off[0]) <= limit[0].take(label)
-            inlier &= np.abs(off[1]) <= limit[1].take(label)
-            weight = inlier.astype(np.float64)
+    groups = _GroupSums(label, count)
+    values = [row, 0.5 * (left + right), right - left + 1.0, slices.disparity_px[used]]
+    means, slope, sd = _robust_lines(groups, *values)
+    n, row0, column0, mean_width, mean_disparity = means
     bottom, top = np.full(count, -np.inf), np.full(count, np.inf)
-    inside = np.flatnonzero(weight)
+    inside = np.flatnonzero(groups.weight)
     np.maximum.at(bottom, label[inside], row[inside])
     np.minimum.at(top, label[inside], row[inside])
     sides = [slices.far_left_px, slices.far_right_px]
     sides += [slices.occluding_left, slices.occluding_right]
-    beside = np.concatenate([values[used] for values in sides]).reshape(4, n_used)
-    far_left, far_right, occluding_left, occluding_right = totals(beside) / n
+    beside = np.concatenate([side[used] for side in sides]).reshape(4, len(used))
+    far_left, far_right, occluding_left, occluding_right = groups.totals(beside) / n
     return Hypotheses(
         column_px=column0,
         row_px=row0,
@@ -235,6 +221,41 @@ def _fit(slices: Slices, label: Ints, count: int) -> Hypotheses:
         occluding_left=occluding_left,
         occluding_right=occluding_right,
     )
+
+
+def _robust_lines(
+    groups: _GroupSums, row: Floats, centre: Floats, width: Floats, disparity: Floats
+) -> tuple[tuple[Floats, ...], Floats, Floats]:
+    """A line through the centres of every group in three sweeps; outliers lose their weight.
+
+    Returns:
+        Number of slices and means of row, centre, width and disparity, each `(count,)`; slope
+        `(count,)`, columns a row; standard deviations of centre, width and disparity `(3, count)`.
+    """
+    label, n_used = groups.label, len(groups.label)
+    plain = np.concatenate([groups.weight, row, centre, width, disparity]).reshape(5, n_used)
+    moments, off = np.empty((2, n_used)), np.empty((3, n_used))
+    for sweep in range(3):
+        sums = groups.totals(plain)
+        n = np.maximum(sums[0], 1.0)
+        row0, column0, mean_width, mean_disparity = sums[1:] / n
+        dv = row - row0[label]
+        np.multiply(dv, dv, out=moments[0])
+        np.multiply(dv, centre, out=moments[1])
+        spread, slope = groups.totals(moments)
+        slope = slope / np.maximum(spread, 1.0)
+        # a short hypothesis says little about its lean: the upright prior shrinks the slope
+        slope = slope * spread / (spread + 200.0)
+        np.subtract(centre - column0[label], slope[label] * dv, out=off[0])
+        np.subtract(width, mean_width[label], out=off[1])
+        np.subtract(disparity, mean_disparity[label], out=off[2])
+        sd = np.sqrt(groups.totals(off * off) / n)
+        if sweep < 2:
+            limit = 2.0 * sd[:2] + 0.6
+            inlier = np.abs(off[0]) <= limit[0].take(label)
+            inlier &= np.abs(off[1]) <= limit[1].take(label)
+            groups.weight = inlier.astype(np.float64)
+    return (n, row0, column0, mean_width, mean_disparity), slope, sd
 
 
 def _join(hypotheses: Hypotheses, rig: StereoRig, config: DetectionConfig) -> tuple[Ints, int]:

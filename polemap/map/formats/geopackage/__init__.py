@@ -1,0 +1,1 @@
+"""The pole map as layers of a GeoPackage."""

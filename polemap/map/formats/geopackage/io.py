@@ -1,0 +1,111 @@
+"""GeoPackage: a layer of poles, one of doubtful ones, the frame in their metadata, a QGIS style."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import warnings
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import geopandas
+import pyogrio
+import shapely
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.formats import qgis
+from polemap.map.formats.columns import from_columns, to_columns
+from polemap.map.formats.layers import placed, points_only, split_columns
+from polemap.map.pole_map import PoleMap
+from polemap.parsing.errors import ParsingError
+from polemap.parsing.json_text import parse_json
+
+_SQLITE = b"SQLite format 3\0"
+LAYER = "poles"
+DOUBTFUL = "doubtful"
+
+
+def write_geopackage(pole_map: PoleMap, path: Path) -> None:
+    """Write a map as a layer of poles, one of doubtful ones where there are any, and its style."""
+    layers = [LAYER]
+    _write_layer(pole_map, path, LAYER)
+    if pole_map.doubtful is not None and len(pole_map.doubtful):
+        layers.append(DOUBTFUL)
+        _write_layer(pole_map.doubtful, path, DOUBTFUL)
+    rows = qgis.style_rows(
+        {name: pyogrio.read_info(path, name)["geometry_name"] for name in layers}
+    )
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(qgis.TABLE)
+        database.execute(qgis.REGISTER)
+        database.executemany(qgis.INSERT, rows)
+        for statement in qgis.STAMPS:
+            database.execute(statement)
+
+
+def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
+    frame = pole_map.frame
+    points = shapely.points(pole_map.points_m)
+    table = geopandas.GeoDataFrame(
+        to_columns(pole_map), geometry=points, crs=frame.epsg if frame.is_utm else None
+    )
+    metadata = {"polemap": json.dumps({"format_version": 1, "frame": frame.to_dict()})}
+    with warnings.catch_warnings():
+        # a local frame has no reference system that other programs know; the metadata name it
+        warnings.filterwarnings("ignore", message="'crs' was not provided")
+        pyogrio.write_dataframe(
+            table, path, layer=layer, driver="GPKG", geometry_type="Point", layer_metadata=metadata
+        )
+
+
+def read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
+    """Read a map; the first layer of points where none is called poles.
+
+    Args:
+        path: the file.
+        frame: of a file that does not name its own.
+
+    Raises:
+        InputError: no GeoPackage, or no layer of points in it.
+    """
+    with path.open("rb") as file:
+        if file.read(len(_SQLITE)) != _SQLITE:
+            # the library would look for any other format that it knows, and follow what that names
+            raise InputError(f"{path}: not a GeoPackage (no SQLite database)")
+    try:
+        # tables without geometry (styles, say) are no layers of poles
+        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+        layer = LAYER if LAYER in layers else layers[0]
+        if layer != LAYER or DOUBTFUL not in layers:
+            return _read_layer(path, layer, frame)
+        doubtful = _read_layer(path, DOUBTFUL, frame)
+        next_id = int(doubtful.ids.max()) + 1 if len(doubtful) else 0
+        pole_map = _read_layer(path, layer, frame, next_id)
+        return replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, IndexError) as error:
+        raise InputError(f"{path}: not a GeoPackage with a layer of points ({error})") from error
+
+
+def _read_layer(path: Path, layer: str, frame: EarthFrame | None, next_id: int = 0) -> PoleMap:
+    ours = (pyogrio.read_info(path, layer=layer).get("layer_metadata") or {}).get("polemap")
+    table = pyogrio.read_dataframe(path, layer=layer)
+    if not isinstance(table, geopandas.GeoDataFrame):
+        raise InputError(f"{path}: layer '{layer}' holds no points")
+    try:
+        own = EarthFrame.from_dict(parse_json(ours)["frame"]) if ours else None
+    except (ParsingError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: the frame in its metadata cannot be read ({error})") from error
+    table, of_points = points_only(table)
+    table, own, of_place = placed(table, own, frame)
+    columns, extra, of_columns = split_columns(table)
+    notes = (*of_points, *of_place, *of_columns)
+    return from_columns(
+        own,
+        shapely.get_coordinates(table.geometry),
+        columns,
+        extra=extra,
+        notes=notes,
+        next_id=next_id,
+    )
