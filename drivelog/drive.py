@@ -218,7 +218,8 @@ class Reader(Protocol):
     """One way in which drives are stored; found through the entry points `polemap.readers`."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """What the kind of drive is called."""
 
     def can_read(self, path: Path) -> bool:
         """Whether the path looks like a drive of this kind; touches little."""

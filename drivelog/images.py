@@ -86,6 +86,11 @@ class ImagePairs:
     rig: StereoRig
 
     def load(self, row: int) -> tuple[Image, Image]:
+        """Left and right picture of a row.
+
+        Raises:
+            InputError: one cannot be read, is of another size or of another depth.
+        """
         size = self.rig.width_px, self.rig.height_px
         left, right = (read_grey(path, size) for path in self.paths[row])
         if left.dtype != right.dtype:
@@ -95,6 +100,7 @@ class ImagePairs:
         return left, right
 
     def keep(self, rows: NDArray[np.int64]) -> ImagePairs:
+        """The same source with these rows only."""
         return ImagePairs(tuple(self.paths[int(row)] for row in rows), self.rig)
 
     def check_exist(self) -> None:

@@ -71,6 +71,7 @@ class WorkerPool(ProcessPoolExecutor):
             )
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call `fn` in a worker process."""
         # a worker may be started for what is submitted
         with quiet_children():
             return super().submit(fn, *args, **kwargs)

@@ -32,6 +32,7 @@ class Gap:
 
     @property
     def length_s(self) -> float:
+        """How long it lasts."""
         return self.to_s - self.from_s
 
 

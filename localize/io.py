@@ -56,6 +56,7 @@ def write_run(
 
 
 def write_config(path: Path, config: Mapping[str, Any]) -> None:
+    """Write the settings of a run as YAML."""
     with atomic_file(path) as part:
         part.write_text(yaml.safe_dump(dict(config), sort_keys=False), encoding="utf-8")
 

@@ -43,9 +43,11 @@ STREAMS = ("odometry", "gnss", "camera")
 class Perception(Protocol):
     """Frames to pole scans; `polemap.perception.PolePerception` is one."""
 
-    def record_odometry(self, sample: OdometrySample, /) -> None: ...
+    def record_odometry(self, sample: OdometrySample, /) -> None:
+        """Keep what moves the tracks until the next frame."""
 
-    def scan_frame(self, frame: StereoFrame, /) -> Detections: ...
+    def scan_frame(self, frame: StereoFrame, /) -> Detections:
+        """The tracked poles of a frame, in the vehicle frame."""
 
 
 @dataclass(frozen=True, slots=True)

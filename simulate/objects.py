@@ -41,6 +41,7 @@ Maker = Callable[[np.random.Generator, Wish], Standing]
 def pick(
     rng: np.random.Generator, span: tuple[float, float] | None, usual: tuple[float, float]
 ) -> float:
+    """A size drawn from the span that the scenario gives, or else the usual one."""
     low, high = span or usual
     return float(rng.uniform(low, high))
 

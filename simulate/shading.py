@@ -52,7 +52,8 @@ class Shaded:
 class Shader(Protocol):
     """Anything that shades the hits of rays `(n, 6)`; `ask` bounds the points to report."""
 
-    def shade(self, mesh: Mesh, hits: Hits, rays: Floats32, ask: Box | None) -> Shaded: ...
+    def shade(self, mesh: Mesh, hits: Hits, rays: Floats32, ask: Box | None) -> Shaded:
+        """Irradiance of every hit, and the points that `ask` bounds."""
 
 
 def make_shader(

@@ -37,6 +37,8 @@ class StereoMatcher(Protocol):
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """The setting `stereo.matcher` that names it."""
 
-    def match(self, left: Image, right: Image) -> DisparityPair: ...
+    def match(self, left: Image, right: Image) -> DisparityPair:
+        """Both disparity maps of a rectified pair."""

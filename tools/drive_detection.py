@@ -70,10 +70,12 @@ class Job(Protocol):
     """Work that leaves one file."""
 
     @property
-    def target(self) -> str: ...
+    def target(self) -> str:
+        """The file."""
 
     @property
-    def steps(self) -> int: ...
+    def steps(self) -> int:
+        """How much of a progress bar it is worth."""
 
 
 _Job = TypeVar("_Job", bound=Job)
@@ -90,6 +92,7 @@ class DetectionJob:
 
     @property
     def steps(self) -> int:
+        """Frames."""
         return self.rows[1] - self.rows[0]
 
 

@@ -38,6 +38,8 @@ _FEW = 12
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
+    """A motion as it would be if something were wrong: factors on way and turn; scans exchanged."""
+
     kind: str
     text: str
     way: float = 1.0

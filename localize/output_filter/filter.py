@@ -160,6 +160,7 @@ class OutputFilter:
 
     @property
     def started(self) -> bool:
+        """Whether a pose, or fixes, have started it."""
         return self._buffer.started
 
     @property

@@ -91,10 +91,12 @@ class MapDetections(Columns):
 
     @property
     def stamp_s(self) -> Floats:
+        """Stamp `(n,)` of the scan of every detection."""
         return self.views.stamp_s[self.scan]
 
     @property
     def start_s(self) -> float:
+        """Stamp of the first scan, 0 without any."""
         return float(self.views.stamp_s[0]) if len(self.views) else 0.0
 
 

@@ -36,6 +36,7 @@ class Shift:
 
     @property
     def size_m(self) -> float:
+        """How far it moves the middle."""
         return float(np.hypot(*self.move_m))
 
     @property

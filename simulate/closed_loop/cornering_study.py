@@ -54,6 +54,7 @@ class Case:
     def run(
         self, name: str, seed: int, settings: CornerSettings | None = None, hold_s: float = 0.0
     ) -> LateralRun:
+        """One run of the case with an estimator."""
         real, nominal = GPS_STIFFNESS_NPRAD
         model = with_stiffness(self.car, nominal)
         limits = LateralLimits(0.35, yaw_moment_limit_nm(self.car))
