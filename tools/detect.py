@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from polemap.detect.models.io import read_classifier
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import ConfigError, InputError
@@ -71,12 +72,15 @@ def command(
     opened = open_drive(drive, seed=seed)
     if opened.rig is None or not opened.has_frames:
         raise InputError(f"drive {opened.name}: it has no stereo images to detect poles in")
-    require_plausible(opened.name, find(opened), force=force)
     wanted = _range(frames, len(opened.frame_stamps_s))
     known = read_map(evaluate, opened.frame) if evaluate else None
     lacking = read_map(unmapped, opened.frame).points_m if unmapped else None
     if evaluate and opened.reference is None:
         raise InputError(f"drive {opened.name}: it has no reference to place a map by")
+    read_classifier(
+        settings.polemap.detection.model
+    )  # a name that is none is told before pictures are read
+    require_plausible(opened.name, find(opened), force=force)
     with atomic_folder(out, KIND) as folder:
         records = _detect_frames(opened, wanted, settings, folder, pictures, known)
     if known is not None:
