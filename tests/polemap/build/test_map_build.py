@@ -168,7 +168,7 @@ def test_works_in_the_streets_are_noticed(town: Town, days: list[DriveObservatio
     rows = rng.permutation(alone)
     # a pole that moves out of sight cannot be noticed anew
     north = replace(town, points_m=town.points_m + np.array([0.0, 2.0]))
-    in_sight = passed(north, route(BLOCKS), views=25)
+    in_sight = passed(north, route(BLOCKS), observations=25)
     moved = rows[in_sight[rows]][:5]
     removed = np.setdiff1d(rows, moved)[:10]
     added = free_places(town, rng, 10)
