@@ -130,8 +130,8 @@ def command(
             require_plausible(drive.name, find(drive), force=force)
         # the map keeps its own zone: drives come to it
         old = read_map(update, allow_empty=True) if update is not None else None
-    for note in old.notes if old is not None else ():
-        typer.echo(f"note: {update}: {note}")
+        for note in old.notes if old is not None else ():
+            typer.echo(f"note: {update}: {note}")
         frame = old.frame if old is not None else opened[0].frame
         folder = out.parent / f".{out.name}.checkpoints"
         if workers is None and scheduler is None:
