@@ -62,11 +62,14 @@ class OdometryWatch:
     # the way back: what a car mostly does, and how alike the two steps must be
     _USUAL_MPS2, _RETURN_MPS, _ALIKE = 3.0, 1.0, 0.5
     _SETTLED_S = 10.0
+    # a turn of the wrong sign is right on every straight: once refuted again, it takes longer
+    _FORGIVEN_S = 300.0
 
     def __init__(self) -> None:
         self._recent: deque[tuple[float, float, float]] = deque()
         self._held: Held | None = None
         self._contradicted_s = -inf
+        self._refuted = 0
         self.contradictions = 0
 
     @property
@@ -90,8 +93,10 @@ class OdometryWatch:
                 self._held = None
             else:
                 self._doubt(stamp_s, step, turn=impossible)
-        elif self._held is not None and stamp_s - self._contradicted_s > self._SETTLED_S:
+        elif self._held is not None and stamp_s - self._contradicted_s > self._patience_s:
             self._held = None
+        if stamp_s - self._contradicted_s > self._FORGIVEN_S:
+            self._refuted = 0
         if step or impossible:
             recent.clear()
         recent.append((stamp_s, speed_mps, yaw_rate_radps))
@@ -101,11 +106,18 @@ class OdometryWatch:
 
     def contradict(self, stamp_s: float) -> None:
         """Poles or fixes say that the odometry is wrong; in what, nobody knows."""
+        self._refuted += self._held is None
         self._doubt(stamp_s, 0.0, turn=True)
 
     def confirm(self) -> None:
-        """Poles say that it is right."""
-        self._held = None
+        """Poles say that it is right; what was refuted before must have been right for longer."""
+        right_s = self._recent[-1][0] - self._contradicted_s if self._recent else inf
+        if self._refuted < 2 or right_s > self._patience_s:
+            self._held = None
+
+    @property
+    def _patience_s(self) -> float:
+        return self._SETTLED_S * max(1, self._refuted)
 
     def _doubt(self, stamp_s: float, step_mps: float, *, turn: bool) -> None:
         self._contradicted_s = stamp_s

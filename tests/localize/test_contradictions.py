@@ -111,6 +111,22 @@ def test_poles_may_contradict_and_confirm():
     assert watch.check(2.04, 9.0, 0.1) is None
 
 
+def test_what_is_refuted_again_must_be_right_for_longer():
+    watch = OdometryWatch()
+    stamps, speeds, rates = drive(9.0, seconds=60.0)
+    rows = list(zip(stamps, speeds, rates, strict=True))
+    doubts(watch, *np.transpose(rows[:100]))
+    watch.contradict(2.0)
+    watch.confirm()
+    assert watch.held is None
+    watch.contradict(2.0)
+    watch.confirm()
+    assert watch.held is not None  # right on a straight is not enough a second time
+    doubted = doubts(watch, *np.transpose(rows[100:]))
+    assert doubted[stamps[100:] < 22.0].all()
+    assert not doubted[stamps[100:] > 22.1].any()
+
+
 def test_a_doubt_that_nothing_feeds_is_settled():
     watch = OdometryWatch()
     stamps, speeds, rates = drive(9.0, seconds=14.0)
