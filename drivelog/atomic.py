@@ -51,6 +51,8 @@ __all__ = [
     "scratch_folder",
 ]
 
+# what writing to an open file fails with when its disk is full, over quota or broken
+_DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 Inputs = Iterable[Path | str | None]
 
 
@@ -104,7 +106,7 @@ def atomic_file(path: Path, inputs: Inputs = ()) -> Iterator[Path]:
     path = Path(path)
     target = real_target(path, folder=False)
     check_not_an_input(path, inputs)
-    with fresh_folder(target) as place:
+    with fresh_folder(target) as place, _place_of_full_disks(path):
         part = place / target.name
         yield part
         os.replace(part, target)
@@ -147,7 +149,7 @@ def atomic_folder(
     check_not_an_input(path, inputs)
     with own_workspace(target):
         check_replaceable(path, target, kind, carried)
-        with fresh_folder(target) as place:
+        with fresh_folder(target) as place, _place_of_full_disks(path):
             part = place / READY
             part.mkdir()
             yield part
@@ -158,6 +160,17 @@ def atomic_folder(
             put_in_place(part, target)
             for name in carried:
                 _move_missing(place / REPLACED / name, target / name)
+
+
+@contextmanager
+def _place_of_full_disks(path: Path) -> Iterator[None]:
+    """An error of a stream that is being written names no file; the result's name is put in."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno in _DISK_ERRORS:
+            error.filename = str(path)
+        raise
 
 
 def check_replaceable(path: Path, target: Path, kind: str, carried: tuple[str, ...]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
@@ -58,3 +59,12 @@ def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
         pass
     with pytest.raises(OutputError, match="cannot be written"), atomic_file(tmp_path / "x" / "y"):
         pass
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO])
+def test_a_full_disk_is_told_with_the_result_s_name(tmp_path: Path, number: int) -> None:
+    for make in (atomic_file(tmp_path / "a"), atomic_folder(tmp_path / "a", "run")):
+        with pytest.raises(OSError, match="full") as caught, make:
+            raise OSError(number, "full")
+        assert caught.value.filename == str(tmp_path / "a")
+        assert not list(tmp_path.iterdir())
