@@ -30,6 +30,15 @@ def printable(text: str) -> str:
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="allow")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_yes_or_no(cls, values: Any) -> Any:
+        """YAML reads yes, on and true as true, which would pass as the number 1."""
+        for name in cls.model_fields:
+            if isinstance(values, dict) and isinstance(values.get(name), bool):
+                raise ValueError(f"{name} is {str(values[name]).lower()}, which is no number")
+        return values
+
 
 class VehiclePart(_Part):
     """The car."""

@@ -102,3 +102,11 @@ def test_a_detector_s_place_in_millimetres_is_refused(folder: Path) -> None:
     path.write_text(head + mark + re.sub(r"x_m: .*", "x_m: 1500", detector, count=1))
     with pytest.raises(InputError, match=r"pole_detector.x_m.*15 .*1500"):
         open_drive(folder)
+
+
+@pytest.mark.parametrize("word", ["yes", "true", "on", "no"])
+def test_yes_is_no_wheelbase(folder: Path, word: str) -> None:
+    path = folder / "drive.yaml"
+    path.write_text(re.sub(r"wheelbase_m: .*", f"wheelbase_m: {word}", path.read_text()))
+    with pytest.raises(InputError, match=r"wheelbase_m is (true|false), which is no number"):
+        open_drive(folder)
