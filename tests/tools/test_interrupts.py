@@ -43,6 +43,8 @@ def start(street: Path, out: Path, *, runs: int) -> subprocess.Popen[str]:
         stdout=subprocess.DEVNULL,
         text=True,
         start_new_session=True,
+        # a suite that runs in the background hands an ignored SIGINT to its children
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
