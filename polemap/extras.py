@@ -20,6 +20,11 @@ EXTRA_OF = {
     "osmium": "gis",
     "pyarrow": "gis",
     "mcap": "bags",
+    "mcap_protobuf": "bags",
+    "mcap_ros2": "bags",
+    "rosbags": "bags",
+    "rerun": "viewer",
+    "websockets": "viewer",
 }
 
 
