@@ -22,6 +22,7 @@ VERBS = {
     "demo": ("demo", "The whole main job on an embedded simulated drive."),
     "simulate": ("simulate", "Write a simulated drive."),
     "info": ("info", "Say what is inside a drive or a map."),
+    "convert": ("convert", "Write drives, runs and logs in another form."),
     "disparity": ("disparity", "Match one rectified stereo pair."),
     "detect": ("detect", "Find the poles in the frames of a drive."),
     "train": ("train", "Train the pole classifier on drives with a known pole map."),
