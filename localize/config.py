@@ -51,12 +51,6 @@ class OdometryConfig(BaseModel):
     learn_noise: bool = Field(
         True, description="Scale the motion noise to what the poles' corrections show."
     )
-    noise_scale_start: float = Field(
-        0.8,
-        gt=0.0,
-        le=4.0,
-        description="Factor on the standard deviations that the alphas give, before it is learned.",
-    )
     yaw_rate_offset_sd_radps: float = Field(
         0.005, ge=0.0, le=0.1, description="Offset of the yaw rate before it is learned, sd, rad/s."
     )
@@ -130,17 +124,8 @@ class RecoveryConfig(BaseModel):
 
     model_config = _FROZEN
 
-    explore_share_max: float = Field(
-        0.2, ge=0.0, le=0.9, description="Largest share of the particles that is drawn anew."
-    )
-    constellation_min_poles: int = Field(
-        3, ge=2, le=20, description="Poles that must fit together to prove a place."
-    )
     lost_sd_m: float = Field(
         15.0, gt=0.0, le=1000.0, description="A particle set wider than this starts anew, m (S16)."
-    )
-    lost_match_share: float = Field(
-        0.34, ge=0.0, le=1.0, description="Least share of the possible poles that must fit."
     )
     lost_after_s: float = Field(
         3.0, gt=0.0, le=600.0, description="How long too few poles, or no fix, may fit, s."

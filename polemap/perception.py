@@ -148,9 +148,7 @@ class PolePerception:
 
     def _predict(self, from_s: float, to_s: float) -> None:
         """Move the tracks along with the odometry."""
-        motion = motion_between(
-            self._odometry, from_s, to_s, gap_max_s=self._config.tracking.gap_max_s
-        )
+        motion = motion_between(self._odometry, from_s, to_s)
         if motion is None:  # a hole in the odometry, or a clock that went back
             self._tracker.drop_tracks()
             if self._offset is not None:

@@ -13,6 +13,7 @@ import typer
 from polemap.build.build_map import BuiltMap, assemble_map, build_map, unique_names
 from polemap.build.city.cluster import open_cluster
 from polemap.build.city.io import clear
+from polemap.build.city.tiles import TILE_M
 from polemap.build.city.work import DriveTask, observe_all, on_workers
 from polemap.build.map_diff import CHANGE, DISTANCE, compare_maps, diff_map
 from polemap.drivelog.atomic import check_files, reserved
@@ -235,7 +236,7 @@ def _build_in_processes(
                 update=old,
                 align=align,
                 run=on_workers(workers, advance),
-                tile_m=mapping.tile_m,
+                tile_m=TILE_M,
             )
 
 

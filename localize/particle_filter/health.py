@@ -18,6 +18,8 @@ _FAR_SD = 5.0
 PROVEN_SD_M, PROVEN_AFTER_M = 0.5, 25.0
 """A narrow particle set that finds poles where it expects them for so many metres is where it says:
 none of 636 simulated starts claimed a wrong pose."""
+# least share of the poles that could match and do: a third, where p_detection lets two thirds hope
+_FIT_SHARE_MIN = 0.34
 _HOPE = 0.5  # where fewer matches could be hoped for, none says nothing
 # a pose of particles that spread further along one axis is not offered to the output filter
 _OFFER_SD_MAX_M = 5.0
@@ -43,7 +45,7 @@ class LostDetector:
     @property
     def fits(self) -> bool:
         """Whether enough of the poles match."""
-        return self._share >= self._config.lost_match_share
+        return self._share >= _FIT_SHARE_MIN
 
     @property
     def scattered(self) -> bool:
@@ -132,7 +134,7 @@ class StartProof:
     @property
     def in_doubt(self) -> bool:
         """Whether of the poles that were lately seen so few fit that others should be tried."""
-        return self._fitting < self._config.lost_match_share
+        return self._fitting < _FIT_SHARE_MIN
 
     def add_fit(self, matched: int, seen: int, elapsed_s: float) -> None:
         """Take in how many of the poles of a scan fit; unlike being lost, this asks the map for

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.samples import GnssFix
-from polemap.localize.config import RecoveryConfig
 from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.particle_weights import MAX_AGE_S
@@ -24,6 +23,8 @@ from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 
+# poles that must fit together to prove a place: with two, one wrong match is half of the proof
+_PROOF_POLES = 3
 _MARGIN = 1.5  # by so many poles another place must explain less
 _STANDING_M = 0.2
 # a car that has driven for so long and still has no heading starts with all of them
@@ -40,8 +41,7 @@ _NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.em
 class PlaceSearch:
     """Follows GNSS and the poles of the last metres, and draws poses from both on demand."""
 
-    def __init__(self, pole_map: PoleMap, config: RecoveryConfig, receiver: GnssReceiver) -> None:
-        self._config = config
+    def __init__(self, pole_map: PoleMap, receiver: GnssReceiver) -> None:
         self._receiver = receiver
         self._alignment = GnssAlignment(receiver)
         self._recent = RecentPoles()
@@ -130,7 +130,7 @@ class PlaceSearch:
     def _enough(self, gnss: GnssPose | None) -> int:
         """Poles that a constellation must hold to be a proof; one more without a heading."""
         known = gnss is not None and gnss.heading_known
-        return self._config.constellation_min_poles + (not known)
+        return _PROOF_POLES + (not known)
 
     def rested(self, stamp_s: float, intervals: float = 1.0) -> bool:
         """Whether the last search is long enough ago for another."""

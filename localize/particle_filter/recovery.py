@@ -27,6 +27,8 @@ Floats = NDArray[np.float64]
 
 # share of the particles that start anew where the map may be wrong instead
 _RESTART_SHARE = 0.75
+# largest share that is drawn anew while the rest goes on: more would be a restart
+_EXPLORE_SHARE_MAX = 0.2
 # searches of a proven place that is in doubt come so many times less often
 _DOUBT_INTERVALS = 4.0
 
@@ -66,8 +68,8 @@ class Recovery:
         self._weigher = weigher
         self._rng = rng
         self.counts = counts
-        self.search = PlaceSearch(pole_map, config, receiver)
-        self.averages = LikelihoodAverages(config.explore_share_max)
+        self.search = PlaceSearch(pole_map, receiver)
+        self.averages = LikelihoodAverages(_EXPLORE_SHARE_MAX)
         self.lost = LostDetector(config)
         self.proof = StartProof(config)
         self.unmatched = UnmatchedPoles()

@@ -30,7 +30,3 @@ class MappingConfig(BaseModel):
     drift_sd_m: float = Field(
         0.7, gt=0.0, description="Of a reference that drifts, an axis (with --align)."
     )
-    drift_time_s: float = Field(
-        100.0, gt=0.0, description="Correlation time of a reference that drifts."
-    )
-    tile_m: float = Field(2000.0, gt=0.0, description="Edge of the tiles that workers merge.")

@@ -31,6 +31,9 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 KNOT_S = 10.0
+# correlation time of a reference that drifts: uncoupled INS wanders over minutes, and a drive shows
+# too few of these to tell 100 s from 200
+_DRIFT_TIME_S = 100.0
 _RADII_M = (3.0, 2.0, 1.3, 0.9, 0.7, 0.6, 0.6)
 _SOFT = 3.0  # of a radius: beyond this share of it a pair loses weight
 _LEAST_M = 0.05  # no two traversals agree better than this
@@ -203,12 +206,12 @@ def _disagreement(traversals: _Traversals, config: MappingConfig, between: bool)
 def _prior(knots: Sequence[Floats], config: MappingConfig) -> csc_matrix:
     """Information of a stationary Gauss-Markov process for each drive, block by block."""
     variance = config.drift_sd_m**2
-    step = 2.0 * variance * KNOT_S / config.drift_time_s
+    step = 2.0 * variance * KNOT_S / _DRIFT_TIME_S
     total = sum(len(k) for k in knots)
     last = np.cumsum([len(k) for k in knots]) - 1
     linked = np.ones(max(total - 1, 0))
     linked[last[:-1]] = 0.0
-    main = np.full(total, KNOT_S / (2.0 * config.drift_time_s * variance))
+    main = np.full(total, KNOT_S / (2.0 * _DRIFT_TIME_S * variance))
     main[:-1] += linked / step
     main[1:] += linked / step
     # what the process was before a drive, and became after it

@@ -34,4 +34,3 @@ class TrackingConfig(BaseModel):
     disparity_offset_sd_px: float = Field(
         0.4, ge=0.0, description="Error that all disparities may share; learned, 0 switches it off."
     )
-    gap_max_s: float = Field(1.0, gt=0.0, description="A longer gap in odometry drops all tracks.")

@@ -41,6 +41,9 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 
+# edge of the tiles that workers merge: the rows do not depend on it, and a city has enough of 2 km
+# to keep workers busy
+TILE_M = 2000.0
 _MARGIN = (
     8.0  # of a tile at first, in greatest steps of a group; a revisit pair reaches four steps far
 )

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from polemap.localize.config import OdometryConfig
-from polemap.localize.particle_filter.motion_noise import MEMORY_WINDOWS, WINDOW, NoiseScale
+from polemap.localize.particle_filter.motion_noise import (
+    MEMORY_WINDOWS,
+    SCALE_START,
+    WINDOW,
+    NoiseScale,
+)
 
 NOISE_SD = np.array([0.10, 0.06, 0.006])  # of one step, as the alphas have it
 SCAN_SD = np.array([0.15, 0.12, 0.01])
@@ -52,26 +57,24 @@ def test_the_true_noise_is_learned_for_each_direction(
     assert np.mean(learned, axis=0) == pytest.approx(true_factors, rel=5.0 * expected)
 
 
-def test_it_starts_from_the_setting_and_can_be_switched_off() -> None:
-    assert NoiseScale(OdometryConfig(noise_scale_start=0.7)).factors == pytest.approx(0.7)
+def test_it_starts_from_its_prior_and_can_be_switched_off() -> None:
+    assert NoiseScale(OdometryConfig()).factors == pytest.approx(SCALE_START)
     off = drive(np.full(3, 3.0), OdometryConfig(learn_noise=False), seed=0, steps=200)
     assert off.factors.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_what_poles_do_not_hold_says_nothing() -> None:
-    config = OdometryConfig()
-    scale = NoiseScale(config)
+    scale = NoiseScale(OdometryConfig())
     small, large = np.diag([0.01, 0.01, 1e-4]), np.diag([0.02, 0.02, 2e-4])
     for trusted in [True] * 7 + [False]:
         # the eighth part of a window's news: it would close at the eighth trusted scan
         jump = np.array([5.0, 0.0, 0.0])
         scale.add_correction((np.zeros(3), large), (jump, small), WINDOW / 8, trusted=trusted)
-    assert scale.factors == pytest.approx(config.noise_scale_start)
+    assert scale.factors == pytest.approx(SCALE_START)
 
 
 def test_one_shock_does_not_decide() -> None:
-    config = OdometryConfig(noise_scale_start=1.0)
-    scale = NoiseScale(config)
+    scale = NoiseScale(OdometryConfig())
     small, large = np.diag([0.01, 0.01, 1e-4]), np.diag([0.02, 0.02, 2e-4])
     scale.add_correction((np.zeros(3), large), (np.full(3, 50.0), small), WINDOW, trusted=True)
     assert 1.0 < scale.factors.max() <= 2.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from polemap.drivelog.samples import GnssFix
-from polemap.localize.config import RecoveryConfig
 from polemap.localize.gnss.alignment import GnssPose
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.particle_filter.constellation import Candidates
@@ -35,7 +34,7 @@ def test_draws_come_from_candidates_and_gnss() -> None:
 
 def searched_around(world: PoleMap, pose: np.ndarray, reach_m: float = 40.0) -> PlaceSearch:
     """Stands at the pose, which dead reckoning takes for its origin, and has seen what is near."""
-    relocation = PlaceSearch(world, RecoveryConfig(), GnssReceiver())
+    relocation = PlaceSearch(world, GnssReceiver())
     local = seen_from(world, pose, reach_m)
     for stamp in (1.0, 2.0):
         relocation.add_scan(plain_scan(stamp, local), np.zeros(3), 0.0)
@@ -96,7 +95,7 @@ def test_two_places_alike_or_few_poles_leave_the_place_open() -> None:
 
 def test_a_standing_car_does_not_start_by_gnss_until_it_has_driven() -> None:
     world = street(np.random.default_rng(1))
-    relocation = PlaceSearch(world, RecoveryConfig(), GnssReceiver())
+    relocation = PlaceSearch(world, GnssReceiver())
     rng = np.random.default_rng(0)
     for k in range(60):
         stamp = 1.0 + k
