@@ -11,12 +11,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.drive import FrameSource
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import Image
 from polemap.parsing.errors import named, short
 from polemap.parsing.pictures import check_size
 from polemap.parsing.text import MEGABYTE, read_bytes
-from polemap.stereo.rig import StereoRig
+from polemap.stereo.errors import StereoError
+from polemap.stereo.rectify import Rectifier
 
 LARGEST_BYTES = 300 * MEGABYTE
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -80,10 +82,10 @@ def read_grey(path: Path, size: tuple[int, int] | None = None) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class ImagePairs:
-    """Pairs of image files, checked against the camera when they are read."""
+    """Pairs of image files, checked against the camera's size when they are read."""
 
     paths: tuple[tuple[Path, Path], ...]
-    rig: StereoRig
+    size_px: tuple[int, int]
 
     def load(self, row: int) -> tuple[Image, Image]:
         """Left and right picture of a row.
@@ -91,8 +93,7 @@ class ImagePairs:
         Raises:
             InputError: one cannot be read, is of another size or of another depth.
         """
-        size = self.rig.width_px, self.rig.height_px
-        left, right = (read_grey(path, size) for path in self.paths[row])
+        left, right = (read_grey(path, self.size_px) for path in self.paths[row])
         if left.dtype != right.dtype:
             raise InputError(
                 f"{self.paths[row][1]}: {right.dtype} pixels, but the left image has {left.dtype}"
@@ -101,7 +102,7 @@ class ImagePairs:
 
     def keep(self, rows: NDArray[np.int64]) -> ImagePairs:
         """The same source with these rows only."""
-        return ImagePairs(tuple(self.paths[int(row)] for row in rows), self.rig)
+        return ImagePairs(tuple(self.paths[int(row)] for row in rows), self.size_px)
 
     def check_exist(self) -> None:
         """Every file is there.
@@ -113,3 +114,27 @@ class ImagePairs:
             for path in pair:
                 if not path.is_file():
                     raise InputError(f"{path}: image is missing, but the drive lists it")
+
+
+@dataclass(frozen=True, slots=True)
+class RectifiedPairs:
+    """Raw pairs of any source, rectified as they are read."""
+
+    raw: FrameSource
+    rectifier: Rectifier
+
+    def load(self, row: int) -> tuple[Image, Image]:
+        """Left and right rectified picture of a row.
+
+        Raises:
+            InputError: one cannot be read, or is of another size than the calibration.
+        """
+        left, right = self.raw.load(row)
+        try:
+            return self.rectifier.rectify(left, right)
+        except StereoError as error:
+            raise InputError(f"frame {row}: {error}") from error
+
+    def keep(self, rows: NDArray[np.int64]) -> RectifiedPairs:
+        """The same source with these rows only."""
+        return RectifiedPairs(self.raw.keep(rows), self.rectifier)

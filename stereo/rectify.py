@@ -3,84 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.stereo.calibration import CameraCalibration, Rectification, StereoCalibration
 from polemap.stereo.errors import StereoError
 from polemap.stereo.matching_types import Image
 from polemap.stereo.rig import Mounting, StereoRig
 
 Floats = NDArray[np.float64]
 Maps = NDArray[np.float32]
-Distortion = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 
-_COEFFICIENTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
-
-
-@dataclass(frozen=True, slots=True)
-class CameraCalibration:
-    """A raw camera: `(3, 3)` matrix in pixels, and its lens.
-
-    Attributes:
-        distortion: `plumb_bob` with k1 k2 p1 p2 k3 (or the first four, or none),
-            `rational_polynomial` with k1 k2 p1 p2 k3 k4 k5 k6, `equidistant` with k1 k2 k3 k4.
-
-    Raises:
-        StereoError: a matrix, size or number of coefficients that cannot be.
-    """
-
-    width_px: int
-    height_px: int
-    matrix: Floats
-    distortion: Distortion
-    coefficients: Floats
-
-    def __post_init__(self) -> None:
-        if self.distortion not in _COEFFICIENTS:
-            known = ", ".join(_COEFFICIENTS)
-            raise StereoError(f"lens model '{self.distortion}' is unknown; known are {known}")
-        if len(self.coefficients) not in _COEFFICIENTS[self.distortion]:
-            raise StereoError(
-                f"lens model {self.distortion} takes {_COEFFICIENTS[self.distortion]} "
-                f"coefficients, not {len(self.coefficients)}"
-            )
-        matrix = np.asarray(self.matrix)
-        usable = matrix.shape == (3, 3) and np.isfinite(matrix).all()
-        if not usable or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-            raise StereoError(f"camera matrix {matrix.tolist()} has no positive focal lengths")
-        if self.width_px < 1 or self.height_px < 1:
-            raise StereoError(f"camera size {self.width_px}x{self.height_px} px is empty")
-
-
-@dataclass(frozen=True, slots=True)
-class StereoCalibration:
-    """Two raw cameras; right camera point = `rotation` @ left camera point + `translation_m`.
-
-    Raises:
-        StereoError: no rotation matrix, no baseline, or a right camera that stands on the left.
-    """
-
-    left: CameraCalibration
-    right: CameraCalibration
-    rotation: Floats
-    translation_m: Floats
-
-    def __post_init__(self) -> None:
-        rotation = np.asarray(self.rotation)
-        if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
-            raise StereoError("the rotation between the cameras is no rotation matrix")
-        if np.asarray(self.translation_m).shape != (3,):
-            raise StereoError("the translation between the cameras needs three numbers")
-        # the right camera's centre in the left camera's axes
-        centre = -rotation.T @ self.translation_m
-        if not centre[0] > 0.5 * np.linalg.norm(centre):
-            raise StereoError(
-                f"the right camera stands at {np.round(centre, 3).tolist()} m of the left one, "
-                "not to its right: exchange the cameras"
-            )
+# what differs by less than this is no distortion that a picture could show
+_SAME_PX = 0.01
 
 
 def rectifying_rotations(calibration: StereoCalibration) -> tuple[Floats, Floats]:
@@ -101,51 +39,88 @@ def rectifying_rotations(calibration: StereoCalibration) -> tuple[Floats, Floats
     return left, left @ rotation.T
 
 
+def rectification_of(calibration: StereoCalibration) -> Rectification:
+    """The calibration's own rectification, or one of the raw pictures' size.
+
+    The focal length is the smallest of the raw ones, so that no pixel is enlarged, and the mean of
+    the directions in which both image centres look becomes the centre of the picture.
+    """
+    if calibration.rectification is not None:
+        return calibration.rectification
+    cameras = (calibration.left, calibration.right)
+    width, height = calibration.left.width_px, calibration.left.height_px
+    focal = float(min(c.matrix[k, k] for c in cameras for k in (0, 1)))
+    rotations = rectifying_rotations(calibration)
+    rays = [turn @ _centre_ray(camera) for camera, turn in zip(cameras, rotations, strict=True)]
+    shift = np.mean([ray[:2] / ray[2] for ray in rays], axis=0)
+    return Rectification(
+        rotations[0],
+        rotations[1],
+        focal,
+        (width - 1) / 2 - focal * float(shift[0]),
+        (height - 1) / 2 - focal * float(shift[1]),
+        width,
+        height,
+    )
+
+
 class Rectifier:
-    """Turns raw pairs into rectified ones for the rig `rig`."""
+    """Turns raw pairs into rectified ones for the rig `rig`.
+
+    Where to look in the raw pictures is computed once, at the first pair; a copy that is sent to
+    another process computes it anew.
+
+    Attributes:
+        calibration: of the raw cameras.
+        rectification: rotations and the rectified camera.
+        rig: what the rectified pictures are pictures of.
+    """
 
     def __init__(
-        self,
-        calibration: StereoCalibration,
-        width_px: int | None = None,
-        height_px: int | None = None,
-        focal_px: float | None = None,
-        vehicle_from_camera: Mounting | None = None,
+        self, calibration: StereoCalibration, vehicle_from_camera: Mounting | None = None
     ) -> None:
-        """Sizes default to those of the left camera, the focal length to the smallest of both.
-
-        Raises:
-            StereoError: sizes or a focal length that are not positive.
-        """
-        left, right = calibration.left, calibration.right
-        width = left.width_px if width_px is None else width_px
-        height = left.height_px if height_px is None else height_px
-        if focal_px is None:
-            focal_px = float(min(c.matrix[k, k] for c in (left, right) for k in (0, 1)))
-        rotations = rectifying_rotations(calibration)
-        # the mean direction in which both image centres look becomes the centre of the result
-        rays = [
-            rotation @ _centre_ray(camera)
-            for camera, rotation in zip((left, right), rotations, strict=True)
-        ]
-        shift = np.mean([ray[:2] / ray[2] for ray in rays], axis=0)
-        cx = (width - 1) / 2 - focal_px * float(shift[0])
-        cy = (height - 1) / 2 - focal_px * float(shift[1])
+        """`vehicle_from_camera` is the mounting of the rectified left camera."""
+        self.calibration = calibration
+        self.rectification = given = rectification_of(calibration)
+        along = given.left @ (-calibration.rotation.T @ calibration.translation_m)
         self.rig = StereoRig(
-            width_px=width,
-            height_px=height,
-            focal_px=focal_px,
-            cx_px=cx,
-            cy_px=cy,
-            baseline_m=float(np.linalg.norm(calibration.translation_m)),
+            width_px=given.width_px,
+            height_px=given.height_px,
+            focal_px=given.focal_px,
+            cx_px=given.cx_px,
+            cy_px=given.cy_px,
+            baseline_m=float(along[0]),
             vehicle_from_camera=vehicle_from_camera or Mounting(),
         )
-        projection = np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1.0]])
-        self._sizes = [(camera.height_px, camera.width_px) for camera in (left, right)]
-        self._maps = [
-            _maps(camera, rotation, projection, (width, height))
-            for camera, rotation in zip((left, right), rotations, strict=True)
-        ]
+        self._maps: tuple[tuple[Maps, Maps] | None, ...] | None = None
+
+    def __reduce__(self) -> tuple[type[Rectifier], tuple[StereoCalibration, Mounting]]:
+        return Rectifier, (self.calibration, self.rig.vehicle_from_camera)
+
+    @property
+    def raw_size_px(self) -> tuple[int, int]:
+        """Width and height of the pictures before."""
+        return self.calibration.left.width_px, self.calibration.left.height_px
+
+    def maps(self) -> tuple[tuple[Maps, Maps] | None, ...]:
+        """For left and right the raw column and row of every rectified pixel, None if its own."""
+        if self._maps is None:
+            given = self.rectification
+            self._maps = (
+                _maps(self.calibration.left, given.left, given),
+                _maps(self.calibration.right, given.right, given),
+            )
+        return self._maps
+
+    def covered(self) -> float:
+        """Share of the rectified pixels that both raw pictures reach; the others are black."""
+        width, height = self.raw_size_px
+        inside = np.ones((self.rig.height_px, self.rig.width_px), dtype=np.bool_)
+        for side in self.maps():
+            if side is not None:
+                x, y = side
+                inside &= (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        return float(inside.mean())
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
         """Both images on the rectified rig; 0 where the raw image does not reach.
@@ -153,15 +128,18 @@ class Rectifier:
         Raises:
             StereoError: images of another size than the calibration.
         """
+        width, height = self.raw_size_px
         results = []
-        sides = zip(("left", "right"), (left, right), self._sizes, self._maps, strict=True)
-        for side, image, size, (map_x, map_y) in sides:
-            if image.shape != size:
+        for side, image, maps in zip(("left", "right"), (left, right), self.maps(), strict=True):
+            if image.shape != (height, width):
                 raise StereoError(
-                    f"the {side} image has shape {image.shape}, its calibration {size}: use the "
-                    "raw images that the calibration was made with"
+                    f"the {side} image has {image.shape[1]}x{image.shape[0]} px, its calibration "
+                    f"is for {width}x{height}: use the raw images that the calibration was made "
+                    "with, or calibrate for these"
                 )
-            results.append(cast(Image, cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)))
+            if maps is not None:
+                image = cast(Image, cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR))
+            results.append(image)
         return results[0], results[1]
 
 
@@ -177,18 +155,27 @@ def _centre_ray(camera: CameraCalibration) -> Floats:
 
 
 def _maps(
-    camera: CameraCalibration, rotation: Floats, projection: Floats, size: tuple[int, int]
-) -> tuple[Maps, Maps]:
+    camera: CameraCalibration, rotation: Floats, given: Rectification
+) -> tuple[Maps, Maps] | None:
     make = (
         cv2.fisheye.initUndistortRectifyMap
         if camera.distortion == "equidistant"
         else cv2.initUndistortRectifyMap
     )
+    f = given.focal_px
+    # one principal point for both sides, whatever the right P says: disparity 0 is infinity
+    projection = np.array([[f, 0, given.cx_px], [0, f, given.cy_px], [0, 0, 1.0]])
+    size = (given.width_px, given.height_px)
     coefficients = np.asarray(camera.coefficients, dtype=np.float64)
     map_x, map_y = make(
         np.asarray(camera.matrix), coefficients, rotation, projection, size, cv2.CV_32FC1
     )
-    return np.asarray(map_x, dtype=np.float32), np.asarray(map_y, dtype=np.float32)
+    x, y = np.asarray(map_x, dtype=np.float32), np.asarray(map_y, dtype=np.float32)
+    if size == (camera.width_px, camera.height_px):
+        row, column = np.indices(x.shape, dtype=np.float32)
+        if max(float(np.abs(x - column).max()), float(np.abs(y - row).max())) < _SAME_PX:
+            return None
+    return x, y
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import cos, isfinite, sin
+from math import asin, atan2, cos, isfinite, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,19 @@ class Mounting:
         """`(3, 3)`, vehicle axes from camera axes."""
         turn = rotation_from_angles(self.yaw_rad, self.pitch_rad, self.roll_rad)
         return np.asarray(turn @ _AXES)
+
+    @classmethod
+    def from_rotation(cls, rotation: Floats, position_m: Floats) -> Mounting:
+        """From the rotation `(3, 3)`, vehicle axes from camera axes, and the place `(3,)`."""
+        r = rotation @ _AXES.T
+        return cls(
+            x_m=float(position_m[0]),
+            y_m=float(position_m[1]),
+            z_m=float(position_m[2]),
+            roll_rad=atan2(r[2, 1], r[2, 2]),
+            pitch_rad=asin(float(np.clip(-r[2, 0], -1.0, 1.0))),
+            yaw_rad=atan2(r[1, 0], r[0, 0]),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
 from polemap.drivelog.errors import InputError
 from polemap.parsing.errors import named
@@ -13,6 +22,8 @@ from polemap.parsing.yaml_text import read_yaml
 
 LONGEST_NAME = 200
 _Finite = Field(allow_inf_nan=False)
+# names of the two kinds of camera; they stand in no file and no message
+_RECTIFIED, _RAW = "<rectified>", "<raw>"
 
 
 def printable(text: str) -> str:
@@ -76,6 +87,16 @@ class CameraPart(_Part):
     vehicle_from_camera: MountingPart
 
 
+class RawCameraPart(_Part):
+    """A pair as the cameras took it, with the file that calibrates it."""
+
+    calibration: str | tuple[str, str] = Field(min_length=1)
+    cameras: tuple[str, str] | None = None
+    distortion_model: str | None = None
+    baseline_m: float | None = Field(None, gt=0, allow_inf_nan=False)
+    vehicle_from_camera: MountingPart
+
+
 class AntennaPart(_Part):
     """The GNSS antenna in the vehicle frame."""
 
@@ -94,6 +115,12 @@ class DetectorPart(_Part):
     range_max_m: float = Field(gt=0.0, allow_inf_nan=False)
 
 
+def _kind_of_camera(value: Any) -> str:
+    """Which of the two kinds of `camera` is meant; a calibration file says raw."""
+    raw = "calibration" in value if isinstance(value, dict) else isinstance(value, RawCameraPart)
+    return _RAW if raw else _RECTIFIED
+
+
 class DriveYaml(_Part):
     """All of drive.yaml; keys that are not known are kept aside and noted."""
 
@@ -101,7 +128,13 @@ class DriveYaml(_Part):
     name: Annotated[str, Field(min_length=1, max_length=LONGEST_NAME), AfterValidator(printable)]
     frame: dict[str, Any]
     vehicle: VehiclePart
-    camera: CameraPart | None = None
+    camera: (
+        Annotated[
+            Annotated[CameraPart, Tag(_RECTIFIED)] | Annotated[RawCameraPart, Tag(_RAW)],
+            Discriminator(_kind_of_camera),
+        ]
+        | None
+    ) = None
     gnss_antenna: AntennaPart | None = None
     pole_detector: DetectorPart | None = None
     notes: tuple[Annotated[str, AfterValidator(printable)], ...] = ()
@@ -130,6 +163,7 @@ def read_drive_yaml(path: Path) -> DriveYaml:
         return DriveYaml.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "top level"
+        parts = [str(part) for part in first["loc"] if part not in (_RECTIFIED, _RAW)]
+        place = ".".join(parts) or "top level"
         given = first["input"] if not isinstance(first["input"], dict) else "absent"
         raise InputError(f"{path}: {place}: {first['msg']} (found {str(given)[:60]})") from error

@@ -8,23 +8,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.drive import Drive, Lap
+from polemap.drivelog.drive import Drive, FrameSource, Lap
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
-from polemap.drivelog.images import ImagePairs
-from polemap.drivelog.readers.drive_yaml import (
-    LONGEST_NAME,
-    CameraPart,
-    VehiclePart,
-    read_drive_yaml,
-)
+from polemap.drivelog.readers.drive_yaml import LONGEST_NAME, VehiclePart, read_drive_yaml
+from polemap.drivelog.readers.folder_camera import FolderCamera, read_camera
 from polemap.drivelog.readers.given import is_given, row_findings
 from polemap.drivelog.readers.poles import read_scans
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.drivelog.tables import Table, read_table
-from polemap.stereo.rig import Mounting, StereoRig
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import car_names, load_car
 from polemap.vehicle.parameters import Car
@@ -57,8 +51,8 @@ class FolderReader:
             raise InputError(f"{folder / 'drive.yaml'}: {error}") from error
         problems: Counter[str] = Counter()
         findings: list[Finding] = []
-        rig = _rig(head.camera) if head.camera else None
-        frames = _frames(folder, rig, findings)
+        camera = read_camera(folder, head.camera) if head.camera else None
+        frames = _frames(folder, camera, findings)
         scans, view_note = read_scans(folder, head.pole_detector, problems, findings)
         notes = list(head.notes)
         notes += [f"drive.yaml: unknown key '{key}' is ignored" for key in head.unknown_keys()]
@@ -71,7 +65,7 @@ class FolderReader:
             frame=frame,
             wheelbase_m=wheelbase_m,
             car=car,
-            rig=rig,
+            rig=camera.rig if camera else None,
             gnss_antenna_m=np.array([antenna.x_m, antenna.y_m]) if antenna else np.zeros(2),
             frame_stamps_s=frames[0],
             frame_arrivals_s=frames[1],
@@ -108,21 +102,6 @@ def _car(folder: Path, vehicle: VehiclePart) -> tuple[Car | None, float]:
     return car, car.wheelbase_m
 
 
-def _rig(camera: CameraPart) -> StereoRig:
-    mount = camera.vehicle_from_camera
-    return StereoRig(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        focal_px=camera.focal_px,
-        cx_px=camera.cx_px,
-        cy_px=camera.cy_px,
-        baseline_m=camera.baseline_m,
-        vehicle_from_camera=Mounting(
-            mount.x_m, mount.y_m, mount.z_m, mount.roll_rad, mount.pitch_rad, mount.yaw_rad
-        ),
-    )
-
-
 def count_problems(table: Table, problems: Counter[str]) -> Table:
     """Add what was left out of a table to the drive's problems, under the file's name."""
     for reason, count in table.dropped.items():
@@ -157,12 +136,12 @@ def _sensor(
 
 
 def _frames(
-    folder: Path, rig: StereoRig | None, findings: list[Finding]
-) -> tuple[Floats, Floats, ImagePairs | None]:
+    folder: Path, camera: FolderCamera | None, findings: list[Finding]
+) -> tuple[Floats, Floats, FrameSource | None]:
     path = folder / "frames.csv"
     if not is_given(path):
         return np.empty(0), np.empty(0), None
-    if rig is None:
+    if camera is None:
         raise InputError(f"{path}: there are images, but drive.yaml describes no camera")
     # a frame that cannot be placed in time is no sensor noise but a broken index: no dropping
     table = read_table(
@@ -173,8 +152,7 @@ def _frames(
         (_inside(folder, left, path), _inside(folder, right, path))
         for left, right in zip(table.texts["left"], table.texts["right"], strict=True)
     )
-    images = ImagePairs(pairs, rig)
-    images.check_exist()
+    images = camera.pairs(pairs)
     return table["stamp_s"], arrivals(table, Counter()), images
 
 

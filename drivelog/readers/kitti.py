@@ -8,7 +8,6 @@ left grey camera.
 
 from __future__ import annotations
 
-from math import asin, atan2
 from pathlib import Path
 
 import numpy as np
@@ -26,28 +25,12 @@ CAMERA_AHEAD_M = 1.03
 CAMERA_ABOVE_M = 1.65
 OXTS_BEHIND_M = 0.05
 
-# vehicle axes (x forward, y left, z up) from camera axes (x right, y down, z forward)
-VEHICLE_FROM_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
 
 def rigid(rotation: Floats, translation: Floats) -> Floats:
     """A `(4, 4)` motion of a rotation `(3, 3)` and a translation `(3,)`."""
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = rotation, translation
     return motion
-
-
-def mounting(rotation: Floats, position_m: Floats) -> Mounting:
-    """The mounting of a camera whose axes are `rotation`, vehicle axes from camera axes."""
-    r = rotation @ VEHICLE_FROM_CAMERA_AXES.T
-    return Mounting(
-        x_m=float(position_m[0]),
-        y_m=float(position_m[1]),
-        z_m=float(position_m[2]),
-        roll_rad=atan2(r[2, 1], r[2, 2]),
-        pitch_rad=asin(float(np.clip(-r[2, 0], -1.0, 1.0))),
-        yaw_rad=atan2(r[1, 0], r[0, 0]),
-    )
 
 
 def read_text(path: Path) -> str:

@@ -23,7 +23,6 @@ from polemap.drivelog.readers.kitti import (
     CAMERA_AHEAD_M,
     WHEELBASE_M,
     entry,
-    mounting,
     read_calibration,
     read_numbers,
     rig_of,
@@ -66,9 +65,15 @@ class KittiOdometryReader:
         camera_poses, pose_notes = _camera_poses(path, len(stamps))
         vehicle_from_camera = _vehicle_from_camera(camera_from_lidar, camera_poses)
         left = read_grey(pairs[0][0])
-        mount = mounting(vehicle_from_camera[:3, :3], vehicle_from_camera[:3, 3])
+        mount = Mounting.from_rotation(vehicle_from_camera[:3, :3], vehicle_from_camera[:3, 3])
         rig = rig_of(p0, p1, (left.shape[1], left.shape[0]), mount, path / "calib.txt")
-        drive = _drive(path, stamps, rig, ImagePairs(pairs, rig), (*notes, *pose_notes))
+        drive = _drive(
+            path,
+            stamps,
+            rig,
+            ImagePairs(pairs, (rig.width_px, rig.height_px)),
+            (*notes, *pose_notes),
+        )
         if camera_poses is None:
             return drive
         poses = _rear_axle_poses(camera_poses, camera_from_lidar, vehicle_from_camera)

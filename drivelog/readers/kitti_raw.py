@@ -24,7 +24,6 @@ from polemap.drivelog.readers.kitti import (
     OXTS_BEHIND_M,
     WHEELBASE_M,
     entry,
-    mounting,
     read_calibration,
     read_text,
     rig_of,
@@ -32,7 +31,7 @@ from polemap.drivelog.readers.kitti import (
 )
 from polemap.drivelog.readers.kitti_clock import gap_note, read_timestamps
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from polemap.stereo.rig import StereoRig
+from polemap.stereo.rig import Mounting, StereoRig
 from polemap.vehicle.pose import rotate
 
 Floats = NDArray[np.float64]
@@ -126,7 +125,8 @@ def _frames(
         tuple(folder / "data" / f"{number:010d}.png" for folder in folders) for number in known
     )
     rig = _rig(path.parent, (left, right), pairs[0][0], oxts_from_camera) if pairs else None
-    images = ImagePairs(tuple((a, b) for a, b in pairs), rig) if rig else None
+    files = tuple((a, b) for a, b in pairs)
+    images = ImagePairs(files, (rig.width_px, rig.height_px)) if rig else None
     return numbers, stamps, images, rig
 
 
@@ -148,7 +148,7 @@ def _rig(day: Path, pair: tuple[str, str], image: Path, oxts_from_camera: Floats
                 f"{image}: {size[0]}x{size[1]} pixels, the calibration's rectified pictures have "
                 f"{width}x{height}: these are not rectified; use the drive's _sync folder"
             )
-    return rig_of(left, right, size, mounting(rotation, position), file)
+    return rig_of(left, right, size, Mounting.from_rotation(rotation, position), file)
 
 
 def _oxts(

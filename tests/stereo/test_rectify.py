@@ -7,36 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
+from polemap.stereo.calibration import CameraCalibration, StereoCalibration
 from polemap.stereo.errors import StereoError
-from polemap.stereo.io import read_camera_info, read_kitti_calibration
-from polemap.stereo.rectify import (
-    CameraCalibration,
-    Rectifier,
-    StereoCalibration,
-    rectifying_rotations,
-    vertical_disparity,
-)
-
-LENSES = {
-    "plumb_bob": np.array([-0.3, 0.1, 0.001, -0.002, 0.01]),
-    "rational_polynomial": np.array([0.3, 0.05, 0.001, -0.001, 0.002, 0.6, 0.1, 0.01]),
-    "equidistant": np.array([0.02, -0.01, 0.003, -0.001]),
-}
-
-
-def make_calibration(distortion="plumb_bob"):
-    cameras = [
-        CameraCalibration(
-            320,
-            240,
-            np.array([[f, 0, cx], [0, f + 1, cy], [0, 0, 1.0]]),
-            distortion,
-            LENSES[distortion],
-        )
-        for f, cx, cy in ((260.0, 161.0, 118.0), (256.0, 157.0, 123.0))
-    ]
-    rotation = cv2.Rodrigues(np.array([0.02, -0.03, 0.015]))[0]
-    return StereoCalibration(cameras[0], cameras[1], rotation, np.array([-0.3, 0.004, -0.01]))
+from polemap.stereo.io import read_calibration, read_kitti_calibration
+from polemap.stereo.rectify import Rectifier, rectifying_rotations, vertical_disparity
+from tests.stereo.calibrations import LENSES, make_calibration, write_ros
 
 
 def raw_pixels(camera, points):
@@ -81,7 +56,7 @@ def test_a_point_falls_where_the_rig_says(distortion):
         (1, calibration.right, right_points, u - d),
     ):
         raw = raw_pixels(camera, where)
-        map_x, map_y = (np.asarray(m) for m in rectifier._maps[side])
+        map_x, map_y = rectifier.maps()[side]
         got = [
             cv2.remap(m, columns.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
             for m in (map_x, map_y)
@@ -93,7 +68,7 @@ def test_a_point_falls_where_the_rig_says(distortion):
 
 def test_kitti_cameras_give_kittis_baseline_and_rotation(recording):
     path = recording("kitti_raw") / "2011_09_26" / "calib_cam_to_cam.txt"
-    calibration = read_kitti_calibration(path, 0, 1)
+    calibration = read_kitti_calibration(path)
     left, _ = rectifying_rotations(calibration)
     rows = dict(line.split(":", 1) for line in path.read_text().splitlines() if ":" in line)
     published = np.array(rows["R_rect_00"].split(), dtype=float).reshape(3, 3)
@@ -107,32 +82,15 @@ def test_kitti_cameras_give_kittis_baseline_and_rotation(recording):
 
 def test_ros_files_come_back_as_the_same_geometry(tmp_path):
     calibration = make_calibration()
-    rotations = rectifying_rotations(calibration)
-    baseline = np.linalg.norm(calibration.translation_m)
-    paths = []
-    for k, (name, camera) in enumerate((("l", calibration.left), ("r", calibration.right))):
-        projection = np.array(
-            [[250.0, 0, 160, -250 * baseline * k], [0, 250, 120, 0], [0, 0, 1, 0]]
-        )
-        tree = {
-            "image_width": camera.width_px,
-            "image_height": camera.height_px,
-            "distortion_model": "plumb_bob",
-            "camera_matrix": {"rows": 3, "cols": 3, "data": camera.matrix.ravel().tolist()},
-            "distortion_coefficients": {"data": camera.coefficients.tolist()},
-            "rectification_matrix": {"data": rotations[k].ravel().tolist()},
-            "projection_matrix": {"data": projection.ravel().tolist()},
-        }
-        paths.append(tmp_path / f"{name}.yaml")
-        paths[-1].write_text(yaml.safe_dump(tree))
-    again = read_camera_info(*paths)
+    paths = write_ros(tmp_path, calibration)
+    again = read_calibration(paths)
     np.testing.assert_allclose(again.rotation, calibration.rotation, atol=1e-9)
     np.testing.assert_allclose(again.translation_m, calibration.translation_m, atol=1e-9)
     with pytest.raises(StereoError, match="no baseline"):
-        read_camera_info(paths[1], paths[0])
-    paths[0].write_text(yaml.safe_dump({"image_width": 3}))
+        read_calibration(paths[::-1])
+    paths[0].write_text(yaml.safe_dump({"image_width": 3, "projection_matrix": []}))
     with pytest.raises(StereoError, match=r"l\.yaml: has no 'distortion_model'"):
-        read_camera_info(*paths)
+        read_calibration(paths)
 
 
 def textured(seed=4, shape=(240, 360)):

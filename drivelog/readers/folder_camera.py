@@ -1,0 +1,79 @@
+"""The camera of a plain drive folder: a rectified one, or a raw pair with its calibration file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from polemap.drivelog.drive import FrameSource
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.images import ImagePairs, RectifiedPairs
+from polemap.drivelog.readers.drive_yaml import CameraPart, MountingPart, RawCameraPart
+from polemap.stereo.calibration_trees import Stated
+from polemap.stereo.errors import StereoError
+from polemap.stereo.io import read_calibration
+from polemap.stereo.rectify import Rectifier
+from polemap.stereo.rig import Mounting, StereoRig
+
+
+@dataclass(frozen=True, slots=True)
+class FolderCamera:
+    """What drive.yaml says of the camera.
+
+    Attributes:
+        rig: of the rectified pictures.
+        rectifier: None where the files hold rectified pictures.
+    """
+
+    rig: StereoRig
+    rectifier: Rectifier | None = None
+
+    def pairs(self, paths: tuple[tuple[Path, Path], ...]) -> FrameSource:
+        """The rectified pictures of these files.
+
+        Raises:
+            InputError: a file is missing.
+        """
+        if self.rectifier is None:
+            images = ImagePairs(paths, (self.rig.width_px, self.rig.height_px))
+            images.check_exist()
+            return images
+        images = ImagePairs(paths, self.rectifier.raw_size_px)
+        images.check_exist()
+        return RectifiedPairs(images, self.rectifier)
+
+
+def read_camera(folder: Path, camera: CameraPart | RawCameraPart) -> FolderCamera:
+    """The camera that drive.yaml describes, its calibration file read.
+
+    Raises:
+        InputError: the calibration cannot be read or used, or leads out of the folder.
+    """
+    mount = _mounting(camera.vehicle_from_camera)
+    if isinstance(camera, CameraPart):
+        rig = StereoRig(
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            focal_px=camera.focal_px,
+            cx_px=camera.cx_px,
+            cy_px=camera.cy_px,
+            baseline_m=camera.baseline_m,
+            vehicle_from_camera=mount,
+        )
+        return FolderCamera(rig)
+    place = folder / "drive.yaml"
+    names = [camera.calibration] if isinstance(camera.calibration, str) else camera.calibration
+    paths = [folder / name for name in names]
+    for name, path in zip(names, paths, strict=True):
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{place}: camera.calibration: '{name}' leads out of the drive folder")
+    stated = Stated(camera.cameras, camera.distortion_model, camera.baseline_m)
+    try:
+        rectifier = Rectifier(read_calibration(paths, stated), mount)
+    except StereoError as error:
+        raise InputError(str(error)) from error
+    return FolderCamera(rectifier.rig, rectifier)
+
+
+def _mounting(part: MountingPart) -> Mounting:
+    return Mounting(part.x_m, part.y_m, part.z_m, part.roll_rad, part.pitch_rad, part.yaw_rad)

@@ -1,0 +1,73 @@
+"""What OpenCV's FileStorage writes, YAML or XML, as plain dicts and arrays.
+
+Read here and not by OpenCV, whose parser has no limits and says what is wrong on stderr only.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.parsing.errors import ParsingError, short
+from polemap.parsing.yaml_text import parse_yaml
+
+_MATRIX_KEYS = {"rows", "cols", "data"}
+
+
+def parse_opencv(text: str) -> dict[str, Any]:
+    """The named values of a FileStorage file; matrices as arrays `(rows, cols)`.
+
+    Plain YAML and JSON with the same names are read, too.
+
+    Raises:
+        ParsingError: neither YAML nor XML, no names in it, or a matrix that is not one.
+    """
+    if text.lstrip().startswith("<?xml") or text.lstrip().startswith("<opencv_storage"):
+        tree = _xml(text)
+    else:
+        # the header is older than YAML's own, and the tag is unknown to every other parser
+        plain = re.sub(r"\A\s*%YAML:1\.0[^\n]*\n", "", text)
+        tree = parse_yaml(plain.replace("!!opencv-matrix", ""))
+    if not isinstance(tree, dict):
+        raise ParsingError("holds no names with values")
+    return {str(name): _value(str(name), value) for name, value in tree.items()}
+
+
+def _value(name: str, value: Any) -> Any:
+    if isinstance(value, dict) and value.keys() >= _MATRIX_KEYS:
+        return _matrix(name, value)
+    return value
+
+
+def _matrix(name: str, value: dict[str, Any]) -> NDArray[np.float64]:
+    try:
+        shape = int(value["rows"]), int(value["cols"])
+        data = value["data"]
+        words = data.split() if isinstance(data, str) else data
+        numbers = np.array([float(word) for word in words], dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ParsingError(f"matrix {name} cannot be read ({short(error)})") from error
+    if numbers.size != shape[0] * shape[1]:
+        raise ParsingError(f"matrix {name} is {shape[0]}x{shape[1]}, but holds {numbers.size}")
+    return numbers.reshape(shape)
+
+
+def _xml(text: str) -> Any:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ParsingError("XML with declarations of its own is not read")
+    try:
+        # neither entities nor declarations are left, and the size of the file is limited
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ParsingError(f"not XML ({short(error)})") from error
+    return {node.tag: _node(node) for node in root}
+
+
+def _node(node: ElementTree.Element) -> Any:
+    if len(node):
+        return {child.tag: (child.text or "").strip() for child in node}
+    return (node.text or "").strip().strip('"')
