@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -86,6 +87,31 @@ def from_columns(
         extra=dict(extra or {}),
         notes=notes,
     )
+
+
+def numbers_of(name: str, texts: NDArray[np.str_]) -> tuple[NDArray[Any], list[str]]:
+    """A known column of texts as numbers, "" as NaN; ids that are none stay texts, with a note.
+
+    Raises:
+        InputError: a text that is no number in another column.
+    """
+    numbers = [_number(text) for text in texts]
+    wrong = [text for text, value in zip(texts, numbers, strict=True) if value is None]
+    if not wrong:
+        return np.array(numbers, dtype=np.float64), []
+    if name == "id":
+        said = f"ids such as '{wrong[0][:20]}' are texts: kept as id_text, numbered anew"
+        return texts, [said]
+    raise InputError(f"column {name} holds '{wrong[0][:40]}', not a number")
+
+
+def _number(text: str) -> float | None:
+    if not text.strip():
+        return math.nan
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _numbered(ids: NDArray[Any], least: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

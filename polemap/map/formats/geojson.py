@@ -13,15 +13,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import (
+    WGS84,
     EarthFrame,
     geographic_from_grid,
     grid_from_geographic,
     utm_frame,
 )
-from polemap.map.formats.columns import KNOWN, from_columns, to_columns
+from polemap.map.formats.columns import KNOWN, from_columns, numbers_of, to_columns
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -84,13 +87,10 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
     features = document.get("features")
     if not isinstance(features, list):
         raise InputError("the FeatureCollection has no features")
-    points = [f for f in features if _geometry(f).get("type") == "Point"]
-    skipped = len(features) - len(points)
-    positions = np.array([_position(feature, row) for row, feature in enumerate(points)])
-    positions = positions.reshape(-1, 2)
-    properties = [_properties(feature, row) for row, feature in enumerate(points)]
+    positions, properties, notes = _points(features)
     ours = document.get("polemap")
-    notes = (f"{skipped} features that are not points were left out",) if skipped else ()
+    positions, of_system = _in_wgs84(document.get("crs"), positions)
+    notes += of_system
     if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
         own_frame = EarthFrame.from_dict(ours["frame"])
         if {"east_m", "north_m"} <= set(properties[0] if properties else ()):
@@ -100,11 +100,66 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
                          "were moved or added by hand, and the point counts")  # fmt: skip
         elif own_frame.is_utm:
             positions = grid_from_geographic(own_frame, positions[:, 1], positions[:, 0])
-        pole_map = _build(own_frame, positions, properties, notes)
-        if "doubtful" in ours:
-            return replace(pole_map, doubtful=from_document(ours["doubtful"], frame))
-        return pole_map
+        doubtful = from_document(ours["doubtful"], frame) if "doubtful" in ours else None
+        next_id = int(doubtful.ids.max()) + 1 if doubtful is not None and len(doubtful) else 0
+        pole_map = _build(own_frame, positions, properties, notes, next_id)
+        return pole_map if doubtful is None else replace(pole_map, doubtful=doubtful)
     return from_inventory(positions, properties, frame, notes)
+
+
+def _points(features: list[Any]) -> tuple[Floats, list[Mapping[str, Any]], tuple[str, ...]]:
+    """Positions `(n, 2)` and properties of the points, and notes on the other features.
+
+    Every part of a multipoint is a point of its own; the first one keeps the id.
+    """
+    positions: list[list[float]] = []
+    properties: list[Mapping[str, Any]] = []
+    several, solid, skipped = [0, 0], False, 0
+    for row, feature in enumerate(features):
+        geometry = _geometry(feature)
+        kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+        if kind not in ("Point", "MultiPoint"):
+            skipped += 1
+            continue
+        parts = coordinates if kind == "MultiPoint" and isinstance(coordinates, list) else None
+        if parts is not None:
+            several = [several[0] + 1, several[1] + len(parts)]
+        for number, part in enumerate([coordinates] if parts is None else parts):
+            positions.append(_position(part, row))
+            solid |= len(part) > 2
+            own = _properties(feature, row)
+            properties.append({**own, "id": None} if number and "id" in own else own)
+    notes = [f"{skipped} features that are not points were left out"] if skipped else []
+    if several[0]:
+        notes.append(f"{several[0]} multipoints hold {several[1]} points: each is a pole")
+    if solid:
+        notes.append("heights of the points (z) are not used")
+    return np.array(positions, dtype=np.float64).reshape(-1, 2), properties, tuple(notes)
+
+
+def _in_wgs84(member: Any, positions: Floats) -> tuple[Floats, tuple[str, ...]]:
+    """Positions `(n, 2)` as longitude and latitude where the document names another system.
+
+    The member is of the GeoJSON before RFC 7946, which GIS still write; ours names local metres.
+
+    Raises:
+        InputError: a system that cannot be read, or in which the positions have no place.
+    """
+    properties = member.get("properties") if isinstance(member, dict) else None
+    name = properties.get("name") if isinstance(properties, dict) else None
+    if not isinstance(name, str) or name.startswith("LOCAL_CS"):
+        return positions, ()
+    try:
+        system = CRS.from_user_input(name)
+        if system.is_geographic and system.to_epsg() in (None, WGS84) and "84" in system.name:
+            return positions, ()
+        move = Transformer.from_crs(system, WGS84, always_xy=True)
+    except ProjError as error:
+        raise InputError(f"its reference system '{name[:40]}' cannot be read") from error
+    moved = np.stack(move.transform(positions[:, 0], positions[:, 1]), axis=1)
+    if not np.isfinite(moved).all():
+        raise InputError(f"positions have no place in its reference system '{name[:40]}'")
+    return moved, (f"transformed from {system.name[:60]}, which its member crs names",)
 
 
 def _grid_positions(
@@ -153,8 +208,7 @@ def _geometry(feature: Any) -> dict[str, Any]:
     return geometry if isinstance(geometry, dict) else {}
 
 
-def _position(feature: Mapping[str, Any], row: int) -> list[float]:
-    coordinates: Any = _geometry(feature).get("coordinates")
+def _position(coordinates: Any, row: int) -> list[float]:
     position = []
     if isinstance(coordinates, list) and all(map(_is_number, coordinates[:2])):
         position = [float(value) for value in coordinates[:2]]
@@ -193,6 +247,7 @@ def _build(
     points: Floats,
     properties: Sequence[Mapping[str, Any]],
     notes: tuple[str, ...],
+    next_id: int = 0,
 ) -> PoleMap:
     names = {name for entry in properties for name in entry} - {"east_m", "north_m"}
     columns: dict[str, NDArray[Any]] = {}
@@ -201,8 +256,11 @@ def _build(
         column = [entry.get(name) for entry in properties]
         numeric = all(v is None or isinstance(v, bool) or _is_number(v) for v in column)
         if name in KNOWN and not numeric:
-            value = next(v for v in column if v is not None and not _is_number(v))
-            raise InputError(f"property {name} is '{str(value)[:40]}', not a number")
+            texts = np.array(["" if v is None else str(v) for v in column], dtype=np.str_)
+            values, of_ids = numbers_of(name, texts)
+            notes = (*notes, *of_ids)
+            (extra if of_ids else columns)["id_text" if of_ids else name] = values
+            continue
         if numeric:
             whole = all(isinstance(value, int) for value in column)
             values = np.array(column, dtype=np.int64 if whole else np.float64)
@@ -211,4 +269,4 @@ def _build(
         else:
             continue
         (columns if name in KNOWN else extra)[name] = values
-    return from_columns(frame, points, columns, extra=extra, notes=notes)
+    return from_columns(frame, points, columns, extra=extra, notes=notes, next_id=next_id)

@@ -6,15 +6,19 @@ import json
 from dataclasses import replace
 from typing import Any
 
+import geopandas
 import numpy as np
 import pyarrow as pa
+import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.formats import geojson
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
+from polemap.map.formats.layers import map_from_layer
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.json_text import parse_json
 from polemap.parsing.text import decoded
@@ -65,7 +69,10 @@ def _wkb(points: Floats) -> pa.Array:
 
 
 def from_table(table: pa.Table, frame: EarthFrame | None) -> PoleMap:
-    """A map from a table of ours, or from any GeoParquet of points in a UTM zone.
+    """A map from a table of ours, or from any GeoParquet of points.
+
+    A table as we write it is read column by column; one that a GIS has edited, reprojected or made
+    goes the way of every other layer.
 
     Raises:
         InputError: no geometry, no frame, or geometries that are not points.
@@ -75,39 +82,72 @@ def from_table(table: pa.Table, frame: EarthFrame | None) -> PoleMap:
         geo = parse_json(decoded(metadata.get("geo", b"{}")))
         ours = parse_json(decoded(metadata.get("polemap", b"{}")))
         name = geo.get("primary_column", "geometry")
-        crs = geo.get("columns", {}).get(name, {}).get("crs")
+        about = geo.get("columns", {}).get(name, {})
+        encoding = about.get("encoding", "WKB")
+        # the specification: none stated is longitude and latitude, null is not known
+        crs = about.get("crs", "OGC:CRS84" if about else None)
     except (ValueError, AttributeError) as error:
         raise InputError(f"the geo metadata cannot be read ({error})") from error
     if name not in table.column_names:
         raise InputError(f"column '{name}' is missing, it must hold the points")
-    own = EarthFrame.from_dict(ours["frame"]) if "frame" in ours else _frame_of(crs, frame)
-    points = _points(table.column(name))
-    columns: dict[str, NDArray[Any]] = {}
-    extra: dict[str, NDArray[Any]] = {}
-    for column in table.column_names:
-        if column == name:
-            continue
-        values = _numpy(table.column(column))
-        if values is not None:
-            (columns if column in KNOWN else extra)[column] = values
-    pole_map = from_columns(own, points, columns, extra=extra)
-    if "doubtful" in ours:
-        return replace(pole_map, doubtful=geojson.from_document(ours["doubtful"], frame))
-    return pole_map
+    if encoding != "WKB":
+        raise InputError(f"its points are encoded as '{str(encoding)[:20]}'; write them as WKB")
+    own = EarthFrame.from_dict(ours["frame"]) if "frame" in ours else None
+    try:
+        system = None if crs is None else CRS.from_user_input(crs)
+    except CRSError as error:
+        raise InputError(f"its reference system cannot be read ({str(error)[:80]})") from error
+    doubtful = geojson.from_document(ours["doubtful"], frame) if "doubtful" in ours else None
+    next_id = int(doubtful.ids.max()) + 1 if doubtful is not None and len(doubtful) else 0
+    as_ours = _in_frame(system, own) and _is_numbers(table)
+    points = _plain_points(table.column(name)) if as_ours else None
+    if own is None or points is None:
+        pole_map = map_from_layer(_layer(table, name, system), own, frame, next_id)
+    else:
+        columns: dict[str, NDArray[Any]] = {}
+        extra: dict[str, NDArray[Any]] = {}
+        for column in table.column_names:
+            values = None if column == name else _numpy(table.column(column))
+            if values is not None:
+                (columns if column in KNOWN else extra)[column] = values
+        pole_map = from_columns(own, points, columns, extra=extra, next_id=next_id)
+    if doubtful is None:
+        return pole_map
+    return replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
 
 
-def _frame_of(crs: Any, frame: EarthFrame | None) -> EarthFrame:
-    if crs is None:
-        if frame is None:
-            raise InputError("it names no reference system and no frame")
-        return frame
-    code = CRS.from_user_input(crs).to_epsg()
-    if code is None:
-        raise InputError("its reference system has no EPSG code")
-    return EarthFrame("utm", code)
+def _in_frame(system: CRS | None, own: EarthFrame | None) -> bool:
+    if own is None or own.epsg is None or system is None:
+        return own is not None and own.epsg is None and system is None
+    return bool(system.to_epsg() == own.epsg)
 
 
-def _points(column: pa.ChunkedArray) -> Floats:
+def _is_numbers(table: pa.Table) -> bool:
+    """Whether the columns that a map knows hold numbers."""
+    kinds = [field.type for field in table.schema if field.name in KNOWN]
+    return all(pa.types.is_integer(kind) or pa.types.is_floating(kind) for kind in kinds)
+
+
+def _layer(table: pa.Table, name: str, system: CRS | None) -> geopandas.GeoDataFrame:
+    """The table as a layer; columns of structures and lists have no place in a map.
+
+    Raises:
+        InputError: geometries that are no WKB.
+    """
+    flat = [
+        field.name
+        for field in table.schema
+        if field.name != name and not pa.types.is_nested(field.type)
+    ]
+    try:
+        geometry = shapely.from_wkb(table.column(name).to_numpy())
+    except (shapely.errors.ShapelyError, TypeError) as error:
+        raise InputError(f"column '{name}' holds no WKB ({str(error)[:60]})") from error
+    return geopandas.GeoDataFrame(table.select(flat).to_pandas(), geometry=geometry, crs=system)
+
+
+def _plain_points(column: pa.ChunkedArray) -> Floats | None:
+    """Places `(n, 2)` of little-endian 2-D points, None where some are something else."""
     array = column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
     if isinstance(array, pa.ChunkedArray):
         array = pa.concat_arrays(array.chunks) if array.num_chunks else pa.array([], pa.binary())
@@ -115,18 +155,20 @@ def _points(column: pa.ChunkedArray) -> Floats:
     points = np.empty((n, 2))
     if not n:
         return points
-    if array.null_count:
-        raise InputError("a row has no geometry")
+    if array.null_count or not (
+        pa.types.is_binary(array.type) or pa.types.is_large_binary(array.type)
+    ):
+        return None
     array = array.cast(pa.large_binary()) if array.type != pa.large_binary() else array
     offsets = np.frombuffer(array.buffers()[1], dtype=np.int64)[array.offset : array.offset + n + 1]
     start, end = int(offsets[0]), int(offsets[-1])
     if end - start != n * _POINT.itemsize or (np.diff(offsets) != _POINT.itemsize).any():
-        raise InputError("the geometries must be plain 2-D points (WKB)")
+        return None
     packed = np.frombuffer(array.buffers()[2], dtype=_POINT, count=n, offset=start)
     if (packed["order"] != 1).any() or (packed["type"] != 1).any():
-        raise InputError("the geometries must be little-endian 2-D points (WKB)")
+        return None
     points[:, 0], points[:, 1] = packed["x"], packed["y"]
-    return points
+    return points if np.isfinite(points).all() else None
 
 
 def _numpy(column: pa.ChunkedArray) -> NDArray[Any] | None:

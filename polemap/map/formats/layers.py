@@ -11,7 +11,37 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.formats.columns import KNOWN
+from polemap.map.formats.columns import KNOWN, from_columns, numbers_of
+from polemap.map.pole_map import PoleMap
+
+
+def map_from_layer(
+    table: geopandas.GeoDataFrame,
+    own: EarthFrame | None,
+    frame: EarthFrame | None,
+    next_id: int = 0,
+) -> PoleMap:
+    """A map from a layer of any format, with a note on all that had to be done for it.
+
+    Args:
+        own: the frame that our metadata name, if any.
+        frame: the frame that is asked for, if any.
+        next_id: the least id for poles that have none among others that have one.
+
+    Raises:
+        InputError: no points, no usable reference system, or values that a map refuses.
+    """
+    table, of_points = points_only(table)
+    table, own, of_place = placed(table, own, frame)
+    columns, extra, of_columns = split_columns(table)
+    return from_columns(
+        own,
+        shapely.get_coordinates(table.geometry),
+        columns,
+        extra=extra,
+        notes=(*of_points, *of_place, *of_columns),
+        next_id=next_id,
+    )
 
 
 def placed(
@@ -109,22 +139,7 @@ def split_columns(
         if name not in KNOWN:
             extra[str(name)] = texts
             continue
-        numbers = [_number(text) for text in texts]
-        wrong = [text for text, value in zip(texts, numbers, strict=True) if value is None]
-        if wrong and name == "id":
-            extra["id_text"] = texts
-            notes.append(f"ids such as '{wrong[0][:20]}' are texts: kept as id_text, numbered anew")
-            continue
-        if wrong:
-            raise InputError(f"column {name} holds '{wrong[0][:40]}', not a number")
-        known[str(name)] = np.array(numbers, dtype=np.float64)
+        numbers, of_ids = numbers_of(str(name), texts)
+        notes += of_ids
+        (extra if of_ids else known)["id_text" if of_ids else str(name)] = numbers
     return known, extra, notes
-
-
-def _number(text: str) -> float | None:
-    if not text.strip():
-        return float("nan")
-    try:
-        return float(text)
-    except ValueError:
-        return None

@@ -9,9 +9,11 @@ from pathlib import Path
 import geopandas
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyogrio
 import pytest
 import shapely
+from pyarrow import parquet
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
@@ -26,18 +28,26 @@ def make_map(points_m: np.ndarray, **changes: object) -> PoleMap:
     return replace(plain_map(points_m), **changes)
 
 
-@pytest.fixture
-def made(tmp_path: Path) -> tuple[PoleMap, Path]:
+@pytest.fixture(params=["gpkg", "parquet"])
+def made(tmp_path: Path, request: pytest.FixtureRequest) -> tuple[PoleMap, Path]:
     rng = np.random.default_rng(0)
     points = np.array([388_500.0, 5_819_500.0]) + 200.0 * rng.random((12, 2))
     pole_map = make_map(points, frame=EarthFrame("utm", 32633), ids=10 + 3 * np.arange(12))
-    path = tmp_path / "map.gpkg"
+    path = tmp_path / f"map.{request.param}"
     write_map(pole_map, path)
     return pole_map, path
 
 
 def _edit(path: Path, change, **options) -> Path:  # type: ignore[no-untyped-def]
     """Rewrite the layer as a GIS does: the metadata stay."""
+    if path.suffix == ".parquet":
+        out = path.with_name("edited.parquet")
+        change(geopandas.read_parquet(path)).to_parquet(out)
+        ours = parquet.read_schema(path).metadata[b"polemap"]
+        edited = parquet.read_table(out)
+        metadata = {**edited.schema.metadata, b"polemap": ours}
+        parquet.write_table(edited.replace_schema_metadata(metadata), out)
+        return out
     metadata = pyogrio.read_info(path, layer="poles")["layer_metadata"]
     table = change(geopandas.read_file(path, layer="poles"))
     out = path.with_name("edited.gpkg")
@@ -115,10 +125,112 @@ def test_lines_and_words_for_numbers_are_refused(made: tuple[PoleMap, Path]) -> 
         read_map(words)
 
 
-def test_a_point_moved_in_geojson_counts_and_is_said(
-    made: tuple[PoleMap, Path], tmp_path: Path
+def test_parquet_without_a_system_of_its_own_is_longitude_and_latitude(tmp_path: Path) -> None:
+    points = shapely.points([[13.35, 52.51], [13.36, 52.52]])
+    table = geopandas.GeoDataFrame({"width_m": [0.2, None]}, geometry=points, crs=4326)
+    table.to_parquet(tmp_path / "lamps.parquet")
+    written = parquet.read_table(tmp_path / "lamps.parquet")
+    geo = json.loads(written.schema.metadata[b"geo"])
+    del geo["columns"]["geometry"]["crs"]
+    parquet.write_table(
+        written.replace_schema_metadata({"geo": json.dumps(geo)}), tmp_path / "lamps.parquet"
+    )
+    pole_map = read_map(tmp_path / "lamps.parquet")
+    assert pole_map.frame == EarthFrame("utm", 32633)
+    there = geographic_from_grid(pole_map.frame, pole_map.points_m)
+    assert there == pytest.approx(np.array([[52.51, 13.35], [52.52, 13.36]]), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"encoding": "point"}, "encoded as 'point'"),
+        ({"crs": "EPSG:1"}, "reference system cannot be read"),
+    ],
+)
+def test_parquet_whose_geometry_cannot_be_read(
+    change: dict[str, str], said: str, tmp_path: Path
 ) -> None:
-    pole_map, _ = made
+    write_map(make_map(np.array([[1.0, 2.0]])), tmp_path / "m.parquet")
+    table = parquet.read_table(tmp_path / "m.parquet")
+    geo = json.loads(table.schema.metadata[b"geo"])
+    geo["columns"]["geometry"].update(change)
+    metadata = {**table.schema.metadata, b"geo": json.dumps(geo)}
+    parquet.write_table(table.replace_schema_metadata(metadata), tmp_path / "m.parquet")
+    with pytest.raises(InputError, match=said):
+        read_map(tmp_path / "m.parquet")
+
+
+def test_parquet_with_numbers_for_its_points_is_refused(tmp_path: Path) -> None:
+    table = pa.table({"geometry": [1, 2], "width_m": [0.1, 0.2]})
+    parquet.write_table(table, tmp_path / "m.parquet")
+    with pytest.raises(InputError, match="holds no WKB"):
+        read_map(tmp_path / "m.parquet", EarthFrame("utm", 32633))
+
+
+def _geojson(pole_map: PoleMap, path: Path) -> dict:  # type: ignore[type-arg]
+    write_map(pole_map, path)
+    return json.loads(path.read_text("utf-8"))  # type: ignore[no-any-return]
+
+
+def test_geojson_comes_back_with_multipoints_heights_and_text_ids(tmp_path: Path) -> None:
+    points = np.array([388_500.0, 5_819_500.0]) + 20.0 * np.arange(8.0).reshape(4, 2)
+    pole_map = make_map(points, frame=EarthFrame("utm", 32633), ids=np.array([4, 7, 9, 12]))
+    path = tmp_path / "m.geojson"
+    document = _geojson(pole_map, path)
+    first, second = document["features"][0]["geometry"], document["features"][1]["geometry"]
+    place = first["coordinates"]
+    first.update(type="MultiPoint", coordinates=[place, [place[0] + 1e-4, place[1]]])
+    second["coordinates"].append(35.0)
+    path.write_text(json.dumps(document), "utf-8")
+    edited = read_map(path)
+    assert edited.ids.tolist() == [4, 13, 7, 9, 12]
+    assert edited.points_m[[0, 2, 3, 4]] == pytest.approx(points)
+    for word in ("multipoints hold 2", "(z)", "had no id"):
+        assert any(word in note for note in edited.notes)
+    for feature in document["features"]:
+        feature["properties"]["id"] = f"lamp-{feature['properties']['id']}"
+    path.write_text(json.dumps(document), "utf-8")
+    texts = read_map(path)
+    assert texts.extra["id_text"][0] == "lamp-4"
+    document["features"][0]["properties"]["width_m"] = "wide"
+    path.write_text(json.dumps(document), "utf-8")
+    with pytest.raises(InputError, match="width_m holds 'wide'"):
+        read_map(path)
+
+
+def test_geojson_in_the_system_that_it_names(tmp_path: Path) -> None:
+    points = np.array([388_500.0, 5_819_500.0]) + 20.0 * np.arange(8.0).reshape(4, 2)
+    pole_map = make_map(points, frame=EarthFrame("utm", 32633))
+    path = tmp_path / "m.geojson"
+    document = _geojson(pole_map, path)
+    for feature, point in zip(document["features"], pole_map.to_frame(
+        EarthFrame("utm", 32632)).points_m, strict=True):  # fmt: skip
+        feature["geometry"]["coordinates"] = point.tolist()
+    name = "urn:ogc:def:crs:EPSG::32632"
+    document["crs"] = {"type": "name", "properties": {"name": name}}
+    path.write_text(json.dumps(document), "utf-8")
+    moved = read_map(path)
+    assert moved.points_m == pytest.approx(points, abs=1e-3)
+    assert any("member crs" in note for note in moved.notes)
+    document["crs"]["properties"]["name"] = "urn:ogc:def:crs:OGC:1.3:CRS84"
+    path.write_text(json.dumps(document), "utf-8")
+    with pytest.raises(InputError):
+        read_map(path)
+    document["crs"]["properties"]["name"] = "no system"
+    path.write_text(json.dumps(document), "utf-8")
+    with pytest.raises(InputError, match="'no system' cannot be read"):
+        read_map(path)
+    document["crs"]["properties"]["name"] = name
+    document["features"][0]["geometry"]["coordinates"] = [1e300, 1e300]
+    path.write_text(json.dumps(document), "utf-8")
+    with pytest.raises(InputError, match="have no place"):
+        read_map(path)
+
+
+def test_a_point_moved_in_geojson_counts_and_is_said(tmp_path: Path) -> None:
+    points = np.array([388_500.0, 5_819_500.0]) + 20.0 * np.arange(24.0).reshape(12, 2)
+    pole_map = make_map(points, frame=EarthFrame("utm", 32633))
     write_map(pole_map, tmp_path / "m.geojson")
     assert not read_map(tmp_path / "m.geojson").notes
     document = json.loads((tmp_path / "m.geojson").read_text("utf-8"))

@@ -240,7 +240,7 @@ def test_geojson_damage(tmp_path: Path) -> None:
         (
             '{"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": '
             '{"type": "Point", "coordinates": [8, 49]}, "properties": {"width_m": "wide"}}]}',
-            "property width_m is 'wide'",
+            "width_m holds 'wide'",
         ),
     ):
         path.write_text(text)

@@ -16,8 +16,8 @@ import shapely
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.formats import qgis
-from polemap.map.formats.columns import from_columns, to_columns
-from polemap.map.formats.layers import placed, points_only, split_columns
+from polemap.map.formats.columns import to_columns
+from polemap.map.formats.layers import map_from_layer
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError
 from polemap.parsing.json_text import parse_json
@@ -97,15 +97,4 @@ def _read_layer(path: Path, layer: str, frame: EarthFrame | None, next_id: int =
         own = EarthFrame.from_dict(parse_json(ours)["frame"]) if ours else None
     except (ParsingError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: the frame in its metadata cannot be read ({error})") from error
-    table, of_points = points_only(table)
-    table, own, of_place = placed(table, own, frame)
-    columns, extra, of_columns = split_columns(table)
-    notes = (*of_points, *of_place, *of_columns)
-    return from_columns(
-        own,
-        shapely.get_coordinates(table.geometry),
-        columns,
-        extra=extra,
-        notes=notes,
-        next_id=next_id,
-    )
+    return map_from_layer(table, own, frame, next_id)
