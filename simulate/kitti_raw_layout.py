@@ -18,9 +18,9 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid
 from polemap.drivelog.readers.kitti import CAMERA_AHEAD_M, OXTS_BEHIND_M
+from polemap.drivelog.writers.kitti_odometry import picture_poses, write_pairs
 from polemap.map.io import write_map
 from polemap.map.pole_map import PoleMap
-from polemap.simulate.kitti_layout import picture_poses, write_pairs
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import rotate, wrap_angle
 

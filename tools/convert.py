@@ -20,12 +20,27 @@ from polemap.tools.option_types import SeedOption
 
 Source = Literal["drive", "run", "log"]
 
+TRAJECTORIES = ("tum", "kitti-poses", "csv", "gpx", "geojson")
+"""Poses alone: of a run, or the reference of a drive."""
+
 CONVERSIONS: dict[tuple[Source, str], str] = {
     ("drive", "folder"): "polemap.tools.convert_drive:to_folder",
+    ("drive", "kitti"): "polemap.tools.convert_drive:to_kitti",
+    ("drive", "mcap"): "polemap.tools.convert_drive:to_mcap",
+    **{
+        ("drive", form): "polemap.tools.convert_run:reference_to_trajectory"
+        for form in TRAJECTORIES
+    },
+    **{("run", form): "polemap.tools.convert_run:to_trajectory" for form in TRAJECTORIES},
 }
 """What goes in and what comes out, to `module:function`, which takes a `Request`."""
 
-FORM_OF_ENDING = {".mcap": "mcap", ".rrd": "rrd"}
+FORM_OF_ENDING = {
+    ".mcap": "mcap",
+    ".rrd": "rrd",
+    **{f".{form}": form for form in TRAJECTORIES},
+    ".kitti": "kitti-poses",
+}
 """What comes out by the ending of `--out`, where `--to` does not say; a folder otherwise."""
 
 _RUN_FILES = ("config.yaml", "pf.tum")
@@ -39,11 +54,18 @@ class Request:
         inputs: drives, runs or logs; at least one.
         out: the file or folder to write.
         seed: of what a reader derives.
+        trajectory: of a run, `kf` or `pf`; None chooses.
+        run: which of the runs of a folder with several.
+        map_file, drive: what a run was made from, where it does not lead there or is to show it.
     """
 
     inputs: tuple[Path, ...]
     out: Path
     seed: int = 0
+    trajectory: str | None = None
+    run: int = 0
+    map_file: Path | None = None
+    drive: Path | None = None
 
     @property
     def input(self) -> Path:
@@ -66,16 +88,35 @@ def command(
         str | None,
         typer.Option("--to", help="What to write; by the ending of --out where it is not said."),
     ] = None,
+    trajectory: Annotated[
+        str | None, typer.Option("--trajectory", help="Of a run: kf (100 Hz, default) or pf.")
+    ] = None,
+    run: Annotated[
+        int, typer.Option("--run", min=0, help="Which run of a folder with several.")
+    ] = 0,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="The map of a run, where it has moved.")
+    ] = None,
+    drive: Annotated[
+        Path | None, typer.Option("--drive", help="The drive of a run, for its pictures.")
+    ] = None,
     seed: SeedOption = 0,
 ) -> None:
-    """Convert a drive into another form.
+    """Convert a drive, a run or a log into another form.
 
     Examples:
         polemap convert sequences/03 --out drives/kitti_03
+        polemap convert drives/monday --out monday.mcap
+        polemap convert drives/monday --out kitti --to kitti
+        polemap convert drives/monday --out reference.tum
+        polemap convert runs/lap_2 --out lap_2.gpx
+        polemap convert runs/lap_2 --out lap_2_pf.kitti --trajectory pf
 
-    What is written has the streams, calibration and notes of the input.
+    A drive becomes a plain drive folder, a KITTI odometry folder or an MCAP file of ROS 2 messages;
+    the poses of a run, or the reference of a drive, become .tum, .kitti, .csv, .gpx or .geojson.
+    What the new form has no place for is named. docs/viewers.md lists what reads what.
     """
-    request = Request(tuple(inputs), out, seed)
+    request = Request(tuple(inputs), out, seed, trajectory, run, map_file, drive)
     source = kind_of(request.inputs[0])
     target = form or FORM_OF_ENDING.get(out.suffix.lower(), "folder")
     place = CONVERSIONS.get((source, target))
@@ -98,7 +139,7 @@ def kind_of(path: Path) -> Source:
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    if all((path / name).is_file() for name in _RUN_FILES):
+    if any(all((at / name).is_file() for name in _RUN_FILES) for at in (path, path / "000")):
         return "run"
     if any(reader.can_read(path) for reader in readers()):
         return "drive"

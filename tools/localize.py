@@ -85,7 +85,7 @@ def command(
         total = len(opened.frame_stamps_s) if opened.has_frames else len(opened.scans)
         with progress(total, "detecting poles") as advance:
             detected = detect_drive(source, opened, settings, processes, cache, advance)
-    job = Replay(source, map_file, pole_map, detected, settings)
+    job = Replay(source, map_file, pole_map, detected, settings, opened.frame)
     kept = None if cache is None or runs == 1 else cache / f"runs-{job.key(opened)}"
     with shared_runs(kept), atomic_folder(out, "run") as folder:
         if runs == 1:

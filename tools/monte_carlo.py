@@ -15,6 +15,7 @@ from typing import Any
 from polemap import __version__
 from polemap.drivelog.atomic import atomic_folder, copy_folder, reserved
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.jobs import LocalWorkers, run_jobs
 from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
 from polemap.evaluation.verdict import judge
@@ -38,6 +39,7 @@ class Replay:
     pole_map: PoleMap | None
     detected: DriveDetections
     settings: Settings
+    frame: EarthFrame
 
     def run(self, folder: Path, seed: int, *, show: bool = False) -> dict[str, Any]:
         """One run into `folder`; its metrics."""
@@ -83,6 +85,7 @@ class Replay:
             "drive": self.source.drive,
             "map": None if self.map_file is None else str(self.map_file),
             "lap": self.source.lap,
+            "frame": self.frame.to_dict(),
             "seed": seed,
             "settings": self.settings.model_dump(mode="json"),
         }

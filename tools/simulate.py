@@ -10,10 +10,10 @@ import typer
 from polemap.drivelog.atomic import check_folder, scratch_folder
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.map.io import read_map
 from polemap.settings import load_settings
 from polemap.simulate.drive import count_frames, simulate_drive
-from polemap.simulate.kitti_layout import write_kitti_odometry
 from polemap.simulate.kitti_raw_layout import write_kitti_raw
 from polemap.simulate.scenario import scenario_names
 from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
@@ -92,4 +92,4 @@ def command(
             if layout == "kitti_raw":
                 write_kitti_raw(drive, out, poles)
             else:
-                write_kitti_odometry(drive, out, "00", poles)
+                write_kitti_odometry(drive, out, "00", poles.points_m if poles else None)

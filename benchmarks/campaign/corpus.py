@@ -20,13 +20,13 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.images import read_grey
 from polemap.drivelog.tum import read_tum
+from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.electric.io import read_mapping, read_signal_log
 from polemap.evaluation.runs.io import read_run_set
 from polemap.map.io import export_map, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.arrays import read_arrays
 from polemap.settings import load_settings
-from polemap.simulate.kitti_layout import write_kitti_odometry
 from polemap.simulate.kitti_raw_layout import write_kitti_raw
 from polemap.simulate.scenario import load_scenario
 from polemap.stereo.io import read_kitti_calibration

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -130,12 +130,7 @@ class FolderWriter:
 
     def laps(self, laps: Iterable[Lap]) -> None:
         """Write laps.csv."""
-        lines = ["lap,start_s,end_s"]
-        for lap in laps:
-            if any(character in lap.name for character in ',"\n\r'):
-                raise InputError(f"lap name '{lap.name}' may not hold commas, quotes or line ends")
-            lines.append(f"{lap.name},{lap.start_s:.6f},{lap.end_s:.6f}")
-        (self._folder / "laps.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (self._folder / "laps.csv").write_text(laps_text(laps), encoding="utf-8")
 
     def finish(self) -> None:
         """Write what needs all frames."""
@@ -162,32 +157,40 @@ def _join(parts: list[Floats], empty_shape: tuple[int, ...]) -> Floats:
     return np.concatenate(parts) if parts else np.empty(empty_shape)
 
 
-@contextmanager
-def folder_writer(
-    path: Path,
+def laps_text(laps: Iterable[Lap]) -> str:
+    """The content of laps.csv.
+
+    Raises:
+        InputError: a name that a table cannot hold.
+    """
+    lines = ["lap,start_s,end_s"]
+    for lap in laps:
+        if any(character in lap.name for character in ',"\n\r'):
+            raise InputError(f"lap name '{lap.name}' may not hold commas, quotes or line ends")
+        lines.append(f"{lap.name},{lap.start_s:.6f},{lap.end_s:.6f}")
+    return "\n".join(lines) + "\n"
+
+
+def drive_head(
     *,
     name: str,
     frame: EarthFrame,
     wheelbase_m: float,
-    car: Car | None = None,
+    car_file: str | None = None,
     rig: StereoRig | None = None,
     gnss_antenna_m: Floats | None = None,
     pole_view: VisibleRegion | None = None,
     notes: Sequence[str] = (),
-) -> Iterator[FolderWriter]:
-    """A writer whose folder appears under `path` when the block ends well.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
+) -> dict[str, Any]:
+    """The keys of drive.yaml."""
     head: dict[str, Any] = {
         "format_version": 1,
         "name": name,
         "frame": frame.to_dict(),
         "vehicle": {"wheelbase_m": float(wheelbase_m)},
     }
-    if car is not None:
-        head["vehicle"]["car"] = CAR_FILE
+    if car_file is not None:
+        head["vehicle"]["car"] = car_file
     if rig is not None:
         mount = rig.vehicle_from_camera
         head["camera"] = {
@@ -211,6 +214,37 @@ def folder_writer(
         }
     if notes:
         head["notes"] = list(notes)
+    return head
+
+
+@contextmanager
+def folder_writer(
+    path: Path,
+    *,
+    name: str,
+    frame: EarthFrame,
+    wheelbase_m: float,
+    car: Car | None = None,
+    rig: StereoRig | None = None,
+    gnss_antenna_m: Floats | None = None,
+    pole_view: VisibleRegion | None = None,
+    notes: Sequence[str] = (),
+) -> Iterator[FolderWriter]:
+    """A writer whose folder appears under `path` when the block ends well.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    head = drive_head(
+        name=name,
+        frame=frame,
+        wheelbase_m=wheelbase_m,
+        car_file=CAR_FILE if car is not None else None,
+        rig=rig,
+        gnss_antenna_m=gnss_antenna_m,
+        pole_view=pole_view,
+        notes=notes,
+    )
     with atomic_folder(Path(path), "drive") as folder:
         text = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
         (folder / "drive.yaml").write_text(text, encoding="utf-8")
@@ -221,8 +255,11 @@ def folder_writer(
         writer.finish()
 
 
-def write_drive(drive: Drive, path: Path) -> None:
+def write_drive(drive: Drive, path: Path, advance: Callable[[int], None] | None = None) -> None:
     """Write any drive as a plain drive folder, images included.
+
+    Args:
+        advance: called with 1 after every pair of pictures.
 
     Raises:
         InputError: the place cannot be written to, or an image cannot be read.
@@ -242,6 +279,8 @@ def write_drive(drive: Drive, path: Path) -> None:
             for row in range(len(drive.frame_stamps_s)):
                 frame = drive.read_frame(row)
                 writer.frame(frame.stamp_s, frame.arrival_s, frame.left, frame.right)
+                if advance is not None:
+                    advance(1)
         if drive.odometry is not None:
             writer.odometry(drive.odometry)
         if drive.gnss is not None:

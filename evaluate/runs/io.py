@@ -46,9 +46,9 @@ class Run:
         Raises:
             InputError: output.csv is there but damaged.
         """
-        if self.folder is None or not (self.folder / "output.csv").is_file():
+        table = self.output_table()
+        if table is None:
             return None
-        table = _read_table(self.folder / "output.csv")
         names = ("stamp_s", "var_east_m2", "var_north_m2", "cov_east_north_m2", "var_yaw_rad2")
         columns = [column for column in map(table.get, names) if isinstance(column, np.ndarray)]
         if len(columns) != len(names):
@@ -58,6 +58,16 @@ class Run:
         covariance[:, 0, 1] = covariance[:, 1, 0] = columns[3]
         covariance[:, 2, 2] = columns[4]
         return columns[0], covariance
+
+    def output_table(self) -> Mapping[str, Floats | list[str]] | None:
+        """Columns of output.csv, numbers as arrays, where the run kept it.
+
+        Raises:
+            InputError: it is there but damaged.
+        """
+        if self.folder is None or not (self.folder / "output.csv").is_file():
+            return None
+        return _read_table(self.folder / "output.csv")
 
     def health_numbers(self, *names: str) -> Floats | None:
         """The first of the columns that exists and holds numbers."""

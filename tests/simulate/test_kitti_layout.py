@@ -10,11 +10,11 @@ import pytest
 
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.map.io import read_map
 from polemap.simulate.camera_mounting import kitti_camera
 from polemap.simulate.config import SimulateConfig
 from polemap.simulate.drive import simulate_drive
-from polemap.simulate.kitti_layout import write_kitti_odometry
 from polemap.simulate.kitti_raw_layout import write_kitti_raw
 from polemap.simulate.scenario import Scenario
 
@@ -40,7 +40,7 @@ def test_poses_and_poles_keep_their_places(
     made = simulate_drive(street, tmp_path / "plain", 1, 4, config, objects=True)
     drive = open_drive(made)
     poles = read_map(made / "objects.geojson", drive.frame)
-    back = open_drive(write_kitti_odometry(drive, tmp_path / "kitti", "07", poles))
+    back = open_drive(write_kitti_odometry(drive, tmp_path / "kitti", "07", poles.points_m))
     assert back.reference is not None
     assert drive.reference is not None
     assert np.array_equal(back.read_frame(3).left, drive.read_frame(3).left)
@@ -95,7 +95,7 @@ def test_what_the_layout_cannot_hold_is_refused(
     tmp_path: Path, street: Scenario, small: SimulateConfig
 ) -> None:
     made = simulate_drive(street, tmp_path / "plain", 1, 4, small, images=False)
-    with pytest.raises(ConfigError, match="needs images and a reference"):
+    with pytest.raises(ConfigError, match="layout needs images; write a folder"):
         write_kitti_odometry(open_drive(made), tmp_path / "kitti")
     assert not (tmp_path / "kitti").exists()
     deep = small.model_copy(update={"camera": small.camera.model_copy(update={"bits": 12})})

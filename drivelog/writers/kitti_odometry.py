@@ -1,10 +1,12 @@
 """A drive in the layout of the KITTI odometry benchmark: sequences/SS, poses/SS.txt, poles/SS.csv.
 
 That layout has neither odometry nor GNSS; whoever reads it derives them from the poses and says so.
+A drive without a reference gets no poses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -14,7 +16,6 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
-from polemap.map.pole_map import PoleMap
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import rotation
 
@@ -37,34 +38,44 @@ def camera_poses(poses: Floats, rig: StereoRig) -> Floats:
 
 
 def write_kitti_odometry(
-    drive: Drive, root: Path, sequence: str = "00", pole_map: PoleMap | None = None
+    drive: Drive,
+    root: Path,
+    sequence: str = "00",
+    poles_m: Floats | None = None,
+    advance: Callable[[int], None] | None = None,
 ) -> Path:
     """Writes a drive as sequence `sequence` under a new folder `root`; returns the sequence folder.
 
+    Args:
+        poles_m: `(n, 2)` in the drive's frame, for poles/SS.csv; needs a reference.
+        advance: called with 1 after every pair of pictures.
+
     Raises:
-        ConfigError: the drive lacks images or a reference, or its pictures are not 8 bit.
-        InputError: the place cannot be written to.
+        ConfigError: the drive lacks images, its pictures are not 8 bit, or its reference does not
+            cover every picture.
+        OutputError: the place cannot be written to.
     """
-    poses = picture_poses(drive)
-    if drive.rig is None:
-        raise ConfigError(f"drive {drive.name}: no camera")
-    cameras = camera_poses(poses, drive.rig)
-    from_first = np.linalg.inv(cameras[0]) @ cameras
+    if drive.rig is None or not drive.has_frames:
+        raise ConfigError(f"drive {drive.name}: the KITTI layout needs images; write a folder")
+    cameras = None
+    if drive.reference is not None:
+        cameras = camera_poses(picture_poses(drive), drive.rig)
     with atomic_folder(root, "drive") as folder:
         place = folder / "sequences" / sequence
-        write_pairs(drive, (place / "image_0", place / "image_1"), digits=6)
+        write_pairs(drive, (place / "image_0", place / "image_1"), 6, advance)
         times = drive.frame_stamps_s - drive.frame_stamps_s[0]
         np.savetxt(place / "times.txt", times, fmt="%.6e")
         (place / "calib.txt").write_text(_calibration(drive.rig), encoding="utf-8")
-        for name in ("poses", "poles"):
-            (folder / name).mkdir()
-        np.savetxt(folder / "poses" / f"{sequence}.txt", from_first[:, :3].reshape(-1, 12))
-        if pole_map is not None:
-            points = _in_first_lidar(pole_map.points_m, cameras[0])
-            np.savetxt(
-                folder / "poles" / f"{sequence}.csv", points, fmt="%.4f", delimiter=",",
-                header="x_m,y_m", comments="",
-            )  # fmt: skip
+        if cameras is not None:
+            (folder / "poses").mkdir()
+            from_first = np.linalg.inv(cameras[0]) @ cameras
+            np.savetxt(folder / "poses" / f"{sequence}.txt", from_first[:, :3].reshape(-1, 12))
+            if poles_m is not None:
+                (folder / "poles").mkdir()
+                np.savetxt(
+                    folder / "poles" / f"{sequence}.csv", _in_first_lidar(poles_m, cameras[0]),
+                    fmt="%.4f", delimiter=",", header="x_m,y_m", comments="",
+                )  # fmt: skip
     return Path(root) / "sequences" / sequence
 
 
@@ -82,7 +93,12 @@ def picture_poses(drive: Drive) -> Floats:
     return poses
 
 
-def write_pairs(drive: Drive, sides: tuple[Path, Path], digits: int) -> None:
+def write_pairs(
+    drive: Drive,
+    sides: tuple[Path, Path],
+    digits: int,
+    advance: Callable[[int], None] | None = None,
+) -> None:
     """Writes all pairs as numbered PNGs into two new folders.
 
     Raises:
@@ -94,11 +110,16 @@ def write_pairs(drive: Drive, sides: tuple[Path, Path], digits: int) -> None:
         frame = drive.read_frame(row)
         for side, image in zip(sides, (frame.left, frame.right), strict=True):
             if image.dtype != np.uint8:
-                raise ConfigError("the KITTI layout has 8-bit pictures: set simulate.camera.bits=8")
+                raise ConfigError(
+                    f"drive {drive.name}: the KITTI layout has 8-bit pictures, and these have "
+                    f"{8 * image.dtype.itemsize}; write a folder or .mcap"
+                )
             done, data = cv2.imencode(".png", image)
             if not done:
                 raise InputError(f"{side}: picture {row} cannot be encoded")
             (side / f"{row:0{digits}d}.png").write_bytes(data.tobytes())
+        if advance is not None:
+            advance(1)
 
 
 def _in_first_lidar(points_m: Floats, first_camera: Floats) -> Floats:

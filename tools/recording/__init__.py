@@ -1,0 +1,1 @@
+"""Runs as recordings for Foxglove and rerun."""
