@@ -30,6 +30,7 @@ _LARGEST = (
     ("_s", 1e20),
 )
 _LARGEST_ELSE = 1e18
+_MARKS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,14 +97,9 @@ def read_table(
     with named(path, InputError, "table"):
         check_csv(path)
     raw = _read_text(path)
-    if _separator(raw) == "" or set(required) <= set(raw.columns):
+    if _separator(list(raw.columns)) == "" or set(required) <= set(raw.columns):
         _check_width(path, len(raw.columns))
-    for name in (*required, *texts):
-        if name not in raw.columns:
-            found = ", ".join(str(c)[:30] for c in raw.columns[:20])
-            raise InputError(
-                f"{path}: column '{name}' is missing (found: {found}){_separator(raw)}"
-            )
+    _check_names(path, list(raw.columns), (*required, *texts))
     lines = np.arange(len(raw), dtype=np.int64) + 2
     filled = (raw != "").any(axis=1).to_numpy() if len(raw) else np.zeros(0, dtype=bool)
     raw, lines = raw[filled], lines[filled]
@@ -144,7 +140,7 @@ def largest(name: str) -> float:
     return next((value for unit, value in _LARGEST if name.endswith(unit)), _LARGEST_ELSE)
 
 
-def _read_text(path: Path) -> pd.DataFrame:
+def _read_text(path: Path, rows: int | None = None) -> pd.DataFrame:
     try:
         with warnings.catch_warnings():
             # rows longer than the header are refused, by line, in `_check_width`
@@ -152,6 +148,7 @@ def _read_text(path: Path) -> pd.DataFrame:
             table = pd.read_csv(
                 path, dtype=str, keep_default_na=False, skip_blank_lines=False,
                 encoding="utf-8-sig", skipinitialspace=True, na_filter=False, index_col=False,
+                nrows=rows,
             )  # fmt: skip
         return table.rename(columns=lambda name: str(name).strip())
     except pd.errors.EmptyDataError as error:
@@ -163,13 +160,40 @@ def _read_text(path: Path) -> pd.DataFrame:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _separator(table: pd.DataFrame) -> str:
+def check_header(path: Path, required: Sequence[str]) -> None:
+    """Look for columns in a file's header, and at nothing else.
+
+    Raises:
+        InputError: an unreadable file, or missing columns.
+    """
+    with named(path, InputError, "table"):
+        check_csv(path)
+    _check_names(path, list(_read_text(path, rows=0).columns), required)
+
+
+def _check_names(path: Path, found: Sequence[str], required: Sequence[str]) -> None:
+    missing = [name for name in required if name not in found]
+    if not missing:
+        return
+    what = f"column '{missing[0]}' is missing"
+    if len(missing) > 1:
+        what = "columns " + ", ".join(f"'{name}'" for name in missing) + " are missing"
+    shown = ", ".join(name[:30] for name in found[:20])
+    raise InputError(f"{path}: {what} (found: {shown}){_separator(found)}")
+
+
+def _separator(columns: Sequence[str]) -> str:
     """What to do about a header that is one cell: other marks than commas, or a comment."""
-    header = str(table.columns[0]) if len(table.columns) == 1 else ""
+    header = str(columns[0]) if len(columns) == 1 else ""
     if header.startswith("#"):
         return "; delete the comment, the header comes first"
-    marked = next((mark for mark in (";", "\t", "|", " ") if mark in header), None)
-    return "; separate columns by commas and write decimals with a point" if marked else ""
+    mark = next((mark for mark in _MARKS if mark in header), None)
+    if mark is None:
+        return ""
+    return (
+        f"; its columns are separated by {_MARKS[mark]}: separate columns by commas and write "
+        "decimals with a point, as `polemap convert` does"
+    )
 
 
 def _check_width(path: Path, width: int) -> None:

@@ -13,6 +13,7 @@ import typer
 from typer import TyperException
 
 from polemap import __version__
+from polemap.drivelog.errors import Mistakes
 from polemap.errors import PolemapError
 from polemap.extras import missing_extra
 from polemap.tools import interrupts
@@ -89,6 +90,10 @@ def run(arguments: Sequence[str]) -> int:
         return result if isinstance(result, int) else GOOD
     except TyperException as error:
         return _complain(error.format_message() or "--help lists the verbs")
+    except Mistakes as error:
+        for line in error.lines:
+            _complain(line)
+        return USER_ERROR
     except PolemapError as error:
         return _complain(str(error))
     except ModuleNotFoundError as error:

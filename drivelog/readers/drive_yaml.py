@@ -1,4 +1,8 @@
-"""`drive.yaml`: what a plain drive folder says about itself."""
+"""`drive.yaml`: what a plain drive folder says about itself.
+
+The description and example of a key are what the error about it, `polemap new` and the page
+docs/drives.md say.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +17,18 @@ from pydantic import (
     Field,
     Tag,
     ValidationError,
+    ValidationInfo,
+    field_validator,
     model_validator,
 )
 
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.problems import refusal, validation_mistakes
 from polemap.parsing.errors import named
 from polemap.parsing.yaml_text import read_yaml
 
 LONGEST_NAME = 200
-_Finite = Field(allow_inf_nan=False)
 # names of the two kinds of camera; they stand in no file and no message
 _RECTIFIED, _RAW = "<rectified>", "<raw>"
 
@@ -38,24 +45,40 @@ def printable(text: str) -> str:
     return text
 
 
+def _finite(description: str, example: float) -> Any:
+    return Field(allow_inf_nan=False, description=description, examples=[example])
+
+
+def _angle(description: str) -> Any:
+    return Field(0.0, allow_inf_nan=False, description=description, examples=[0.01])
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    @model_validator(mode="before")
+    @field_validator("*", mode="before")
     @classmethod
-    def _no_yes_or_no(cls, values: Any) -> Any:
+    def _no_yes_or_no(cls, value: Any, field: ValidationInfo) -> Any:
         """YAML reads yes, on and true as true, which would pass as the number 1."""
-        for name in cls.model_fields:
-            if isinstance(values, dict) and isinstance(values.get(name), bool):
-                raise ValueError(f"{name} is {str(values[name]).lower()}, which is no number")
-        return values
+        known = cls.model_fields[str(field.field_name)]
+        if isinstance(value, bool) and known.annotation is not bool:
+            raise ValueError(f"is {str(value).lower()}, which is no number")
+        return value
 
 
 class VehiclePart(_Part):
     """The car."""
 
-    wheelbase_m: float | None = Field(None, gt=0.0, allow_inf_nan=False)
-    car: str | None = Field(None, min_length=1)
+    wheelbase_m: float | None = Field(
+        None,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="the distance from the rear to the front axle, metres",
+        examples=[2.71],
+    )
+    car: str | None = Field(
+        None, min_length=1, description="the name or the file of a car", examples=["passat"]
+    )
 
     @model_validator(mode="after")
     def _has_wheelbase(self) -> VehiclePart:
@@ -67,52 +90,107 @@ class VehiclePart(_Part):
 class MountingPart(_Part):
     """The left camera in the vehicle frame."""
 
-    x_m: float = _Finite
-    y_m: float = _Finite
-    z_m: float = _Finite
-    roll_rad: float = Field(0.0, allow_inf_nan=False)
-    pitch_rad: float = Field(0.0, allow_inf_nan=False)
-    yaw_rad: float = Field(0.0, allow_inf_nan=False)
+    x_m: float = _finite("metres ahead of the rear axle", 1.9)
+    y_m: float = _finite("metres to the left of the middle", 0.15)
+    z_m: float = _finite("metres above the ground", 1.3)
+    roll_rad: float = _angle("the roll to the right of the camera, radians")
+    pitch_rad: float = _angle("the pitch of the camera, radians, positive looking down")
+    yaw_rad: float = _angle("the yaw of the camera, radians, positive looking left")
 
 
 class CameraPart(_Part):
     """The rectified stereo pair."""
 
-    width_px: int = Field(gt=0)
-    height_px: int = Field(gt=0)
-    focal_px: float = Field(gt=0, allow_inf_nan=False)
-    cx_px: float = _Finite
-    cy_px: float = _Finite
-    baseline_m: float = Field(gt=0, allow_inf_nan=False)
-    vehicle_from_camera: MountingPart
+    width_px: int = Field(gt=0, description="the width of the pictures, pixels", examples=[768])
+    height_px: int = Field(gt=0, description="the height of the pictures, pixels", examples=[480])
+    focal_px: float = Field(
+        gt=0,
+        allow_inf_nan=False,
+        description="the focal length of the rectified pictures, pixels",
+        examples=[823.4],
+    )
+    cx_px: float = _finite("the column of the principal point, pixels", 383.5)
+    cy_px: float = _finite("the row of the principal point, pixels", 239.5)
+    baseline_m: float = Field(
+        gt=0,
+        allow_inf_nan=False,
+        description="the distance from the left to the right camera, metres",
+        examples=[0.30],
+    )
+    vehicle_from_camera: MountingPart = Field(
+        description="where the left camera is: x_m, y_m, z_m, roll_rad, pitch_rad, yaw_rad",
+        examples=["{x_m: 1.9, y_m: 0.15, z_m: 1.3}"],
+    )
 
 
 class RawCameraPart(_Part):
     """A pair as the cameras took it, with the file that calibrates it."""
 
-    calibration: str | tuple[str, str] = Field(min_length=1)
-    cameras: tuple[str, str] | None = None
-    distortion_model: str | None = None
-    baseline_m: float | None = Field(None, gt=0, allow_inf_nan=False)
-    vehicle_from_camera: MountingPart
+    calibration: str | tuple[str, str] = Field(
+        min_length=1,
+        description="the calibration file of the pair, or one for each camera",
+        examples=["camchain.yaml"],
+    )
+    cameras: tuple[str, str] | None = Field(
+        None,
+        description="the names of the left and right camera in the calibration",
+        examples=["[cam0, cam1]"],
+    )
+    distortion_model: str | None = Field(
+        None, description="the distortion model, where the file names none", examples=["plumb_bob"]
+    )
+    baseline_m: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="the distance from the left to the right camera, metres",
+        examples=[0.30],
+    )
+    vehicle_from_camera: MountingPart = Field(
+        description="where the left camera is: x_m, y_m, z_m, roll_rad, pitch_rad, yaw_rad",
+        examples=["{x_m: 1.9, y_m: 0.15, z_m: 1.3}"],
+    )
 
 
 class AntennaPart(_Part):
     """The GNSS antenna in the vehicle frame."""
 
-    x_m: float = _Finite
-    y_m: float = _Finite
+    x_m: float = _finite("metres ahead of the rear axle", 0.5)
+    y_m: float = _finite("metres to the left of the middle", 0.0)
 
 
 class DetectorPart(_Part):
     """Where the detector behind poles.csv could have seen a pole (our extension, optional)."""
 
-    x_m: float = Field(ge=-15.0, le=15.0)
-    y_m: float = Field(ge=-3.0, le=3.0)
-    bearing_min_rad: float = Field(ge=-3.1416, le=3.1416)
-    bearing_max_rad: float = Field(ge=-3.1416, le=3.1416)
-    range_min_m: float = Field(0.0, ge=0.0)
-    range_max_m: float = Field(gt=0.0, allow_inf_nan=False)
+    x_m: float = Field(
+        ge=-15.0, le=15.0, description="metres ahead of the rear axle", examples=[3.8]
+    )
+    y_m: float = Field(
+        ge=-3.0, le=3.0, description="metres to the left of the middle", examples=[0.5]
+    )
+    bearing_min_rad: float = Field(
+        ge=-3.1416, le=3.1416, description="the view's right end, radians", examples=[-1.57]
+    )
+    bearing_max_rad: float = Field(
+        ge=-3.1416, le=3.1416, description="the view's left end, radians", examples=[1.57]
+    )
+    range_min_m: float = Field(
+        0.0, ge=0.0, description="the nearest pole that it sees, metres", examples=[1.0]
+    )
+    range_max_m: float = Field(
+        gt=0.0,
+        allow_inf_nan=False,
+        description="the farthest pole that it sees, metres",
+        examples=[40.0],
+    )
+
+
+def _earth_frame(values: dict[str, Any]) -> dict[str, Any]:
+    try:
+        EarthFrame.from_dict(values)
+    except InputError as error:
+        raise ValueError(str(error).removeprefix("frame: ")) from error
+    return values
 
 
 def _kind_of_camera(value: Any) -> str:
@@ -124,20 +202,45 @@ def _kind_of_camera(value: Any) -> str:
 class DriveYaml(_Part):
     """All of drive.yaml; keys that are not known are kept aside and noted."""
 
-    format_version: Literal[1]
-    name: Annotated[str, Field(min_length=1, max_length=LONGEST_NAME), AfterValidator(printable)]
-    frame: dict[str, Any]
-    vehicle: VehiclePart
+    format_version: Literal[1] = Field(description="the version of this format", examples=[1])
+    name: Annotated[
+        str,
+        Field(
+            min_length=1,
+            max_length=LONGEST_NAME,
+            description="what the drive is called",
+            examples=["campus_lap_1"],
+        ),
+        AfterValidator(printable),
+    ]
+    frame: Annotated[dict[str, Any], AfterValidator(_earth_frame)] = Field(
+        description="the plane of all coordinates: a UTM zone, or {kind: local, name: ...}",
+        examples=["{kind: utm, epsg: 32633}"],
+    )
+    vehicle: VehiclePart = Field(
+        description="the car: wheelbase_m, or car", examples=["{wheelbase_m: 2.71}"]
+    )
     camera: (
         Annotated[
             Annotated[CameraPart, Tag(_RECTIFIED)] | Annotated[RawCameraPart, Tag(_RAW)],
             Discriminator(_kind_of_camera),
         ]
         | None
-    ) = None
-    gnss_antenna: AntennaPart | None = None
-    pole_detector: DetectorPart | None = None
-    notes: tuple[Annotated[str, AfterValidator(printable)], ...] = ()
+    ) = Field(None, description="the stereo pair: rectified, or raw with its calibration file")
+    gnss_antenna: AntennaPart | None = Field(
+        None, description="where the GNSS antenna is", examples=["{x_m: 0.5, y_m: 0.0}"]
+    )
+    pole_detector: DetectorPart | None = Field(
+        None, description="where the detector behind poles.csv could have seen a pole"
+    )
+    notes: tuple[Annotated[str, AfterValidator(printable)], ...] = Field(
+        (), description="texts that are shown with every result", examples=["[wet road]"]
+    )
+    allow_links: bool = Field(
+        False,
+        description="whether pictures may lie outside of the folder, by links or absolute paths",
+        examples=["true"],
+    )
 
     def unknown_keys(self) -> list[str]:
         """Dotted names of the keys that nothing reads."""
@@ -153,7 +256,8 @@ def read_drive_yaml(path: Path) -> DriveYaml:
     """Read and check a drive.yaml.
 
     Raises:
-        InputError: unreadable, no YAML, a key missing or a value out of its range.
+        InputError: unreadable, no YAML, a key missing or a value out of its range; several such
+            keys at once as `Mistakes`.
     """
     with named(path, InputError, "drive.yaml"):
         values = read_yaml(path)
@@ -162,8 +266,4 @@ def read_drive_yaml(path: Path) -> DriveYaml:
     try:
         return DriveYaml.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        parts = [str(part) for part in first["loc"] if part not in (_RECTIFIED, _RAW)]
-        place = ".".join(parts) or "top level"
-        given = first["input"] if not isinstance(first["input"], dict) else "absent"
-        raise InputError(f"{path}: {place}: {first['msg']} (found {str(given)[:60]})") from error
+        raise refusal(path, validation_mistakes(error, DriveYaml)) from error

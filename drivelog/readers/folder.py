@@ -12,13 +12,20 @@ from polemap.drivelog.drive import Drive, FrameSource, Lap
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
-from polemap.drivelog.readers.drive_yaml import LONGEST_NAME, VehiclePart, read_drive_yaml
+from polemap.drivelog.problems import Gathered
+from polemap.drivelog.readers.columns import FILES, required_columns
+from polemap.drivelog.readers.drive_yaml import (
+    LONGEST_NAME,
+    DriveYaml,
+    VehiclePart,
+    read_drive_yaml,
+)
 from polemap.drivelog.readers.folder_camera import FolderCamera, read_camera
 from polemap.drivelog.readers.given import is_given, row_findings
 from polemap.drivelog.readers.poles import read_scans
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
-from polemap.drivelog.tables import Table, read_table
+from polemap.drivelog.tables import Table, check_header, read_table
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import car_names, load_car
 from polemap.vehicle.parameters import Car
@@ -44,42 +51,59 @@ class FolderReader:
             InputError: see `drivelog.tables` and `drivelog.readers.drive_yaml`.
         """
         folder = path.parent if path.is_file() else path
-        head = read_drive_yaml(folder / "drive.yaml")
-        try:
-            frame = EarthFrame.from_dict(head.frame)
-        except InputError as error:
-            raise InputError(f"{folder / 'drive.yaml'}: {error}") from error
+        place = folder / "drive.yaml"
+        gathered = Gathered()
+        head = gathered.attempt(read_drive_yaml, place)
+        if head is None:
+            # told together with what drive.yaml lacks, so that all can be mended in one go
+            for name in FILES:
+                gathered.attempt(_check_columns, folder / f"{name}.csv", name)
+            raise gathered.error(folder)
+        frame = EarthFrame.from_dict(head.frame)
         problems: Counter[str] = Counter()
         findings: list[Finding] = []
-        camera = read_camera(folder, head.camera) if head.camera else None
-        frames = _frames(folder, camera, findings)
-        scans, view_note = read_scans(folder, head.pole_detector, problems, findings)
         notes = list(head.notes)
         notes += [f"drive.yaml: unknown key '{key}' is ignored" for key in head.unknown_keys()]
-        notes += [view_note] if view_note else []
+        car = gathered.attempt(_car, folder, head.vehicle)
+        camera = gathered.attempt(_camera, folder, head)
+        frames = None
+        if camera is not None or head.camera is None:
+            frames = gathered.attempt(_frames, folder, head, camera, findings, notes)
+        scans = gathered.attempt(read_scans, folder, head.pole_detector, problems, findings)
+        odometry = gathered.attempt(_odometry, folder, problems, findings)
+        gnss = gathered.attempt(_gnss, folder, frame, problems, findings)
+        reference = gathered.attempt(_reference, folder, problems, findings)
+        laps = gathered.attempt(_laps, folder, findings)
+        if car is None or frames is None or scans is None or laps is None or gathered.errors:
+            raise gathered.error(folder)
+        notes += [scans[1]] if scans[1] else []
         antenna = head.gnss_antenna
-        car, wheelbase_m = _car(folder, head.vehicle)
         return Drive(
             name=head.name,
             path=folder,
             frame=frame,
-            wheelbase_m=wheelbase_m,
-            car=car,
+            wheelbase_m=car[1],
+            car=car[0],
             rig=camera.rig if camera else None,
             gnss_antenna_m=np.array([antenna.x_m, antenna.y_m]) if antenna else np.zeros(2),
             frame_stamps_s=frames[0],
             frame_arrivals_s=frames[1],
             frame_numbers=np.arange(len(frames[0]), dtype=np.int64),
             images=frames[2],
-            odometry=_odometry(folder, problems, findings),
-            gnss=_gnss(folder, frame, problems, findings),
-            reference=_reference(folder, problems, findings),
-            scans=scans,
-            laps=_laps(folder, findings),
+            odometry=odometry,
+            gnss=gnss,
+            reference=reference,
+            scans=scans[0],
+            laps=laps,
             notes=tuple(notes),
             problems=dict(problems),
             findings=tuple(findings),
         )
+
+
+def _check_columns(path: Path, name: str) -> None:
+    if is_given(path):
+        check_header(path, required_columns(name))
 
 
 def _car(folder: Path, vehicle: VehiclePart) -> tuple[Car | None, float]:
@@ -100,6 +124,10 @@ def _car(folder: Path, vehicle: VehiclePart) -> tuple[Car | None, float]:
             f"{car.wheelbase_m:.3f} m; leave one of them out, or correct it"
         )
     return car, car.wheelbase_m
+
+
+def _camera(folder: Path, head: DriveYaml) -> FolderCamera | None:
+    return read_camera(folder, head.camera, head.allow_links) if head.camera else None
 
 
 def count_problems(table: Table, problems: Counter[str]) -> Table:
@@ -136,7 +164,11 @@ def _sensor(
 
 
 def _frames(
-    folder: Path, camera: FolderCamera | None, findings: list[Finding]
+    folder: Path,
+    head: DriveYaml,
+    camera: FolderCamera | None,
+    findings: list[Finding],
+    notes: list[str],
 ) -> tuple[Floats, Floats, FrameSource | None]:
     path = folder / "frames.csv"
     if not is_given(path):
@@ -148,19 +180,34 @@ def _frames(
         path, ("stamp_s",), optional=("arrival_s",), texts=("left", "right"), drop_not_finite=False
     )
     table = in_order(table, findings, duplicates="error")
+    outside: list[Path] | None = [] if head.allow_links else None
     pairs = tuple(
-        (_inside(folder, left, path), _inside(folder, right, path))
+        (_inside(folder, left, path, outside), _inside(folder, right, path, outside))
         for left, right in zip(table.texts["left"], table.texts["right"], strict=True)
     )
+    if outside:
+        notes.append(
+            f"{len(outside)} pictures lie outside of the drive folder, which allow_links allows "
+            f"(such as {str(outside[0])[-80:]})"
+        )
     images = camera.pairs(pairs)
     return table["stamp_s"], arrivals(table, Counter()), images
 
 
-def _inside(folder: Path, text: object, index: Path) -> Path:
-    """A path that frames.csv names; it must not lead out of the drive."""
+def _inside(folder: Path, text: object, index: Path, outside: list[Path] | None) -> Path:
+    """A path that frames.csv names; it leads out of the drive only where that is allowed.
+
+    Raises:
+        InputError: it does, and drive.yaml does not allow it (`outside` is None).
+    """
     path = folder / str(text).strip()
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{index}: '{text}' leads out of the drive folder")
+        if outside is None:
+            raise InputError(
+                f"{index}: '{text}' leads out of the drive folder; put the picture inside, or "
+                "write `allow_links: true` into drive.yaml"
+            )
+        outside.append(path)
     return path
 
 

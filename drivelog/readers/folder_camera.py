@@ -43,7 +43,9 @@ class FolderCamera:
         return RectifiedPairs(images, self.rectifier)
 
 
-def read_camera(folder: Path, camera: CameraPart | RawCameraPart) -> FolderCamera:
+def read_camera(
+    folder: Path, camera: CameraPart | RawCameraPart, allow_links: bool = False
+) -> FolderCamera:
     """The camera that drive.yaml describes, its calibration file read.
 
     Raises:
@@ -65,8 +67,11 @@ def read_camera(folder: Path, camera: CameraPart | RawCameraPart) -> FolderCamer
     names = [camera.calibration] if isinstance(camera.calibration, str) else camera.calibration
     paths = [folder / name for name in names]
     for name, path in zip(names, paths, strict=True):
-        if not path.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{place}: camera.calibration: '{name}' leads out of the drive folder")
+        if not allow_links and not path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(
+                f"{place}: camera.calibration: '{name}' leads out of the drive folder; put it "
+                "inside, or write `allow_links: true`"
+            )
     stated = Stated(camera.cameras, camera.distortion_model, camera.baseline_m)
     try:
         rectifier = Rectifier(read_calibration(paths, stated), mount)

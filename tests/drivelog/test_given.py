@@ -108,5 +108,5 @@ def test_a_detector_s_place_in_millimetres_is_refused(folder: Path) -> None:
 def test_yes_is_no_wheelbase(folder: Path, word: str) -> None:
     path = folder / "drive.yaml"
     path.write_text(re.sub(r"wheelbase_m: .*", f"wheelbase_m: {word}", path.read_text()))
-    with pytest.raises(InputError, match=r"wheelbase_m is (true|false), which is no number"):
+    with pytest.raises(InputError, match=r"wheelbase_m: is (true|false), which is no number"):
         open_drive(folder)

@@ -10,7 +10,7 @@ import pytest
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.io import read_map, write_map
 from polemap.tools import cli
-from tests.drivelog.drives import write_small
+from tests.drivelog.drives import edit, write_small
 
 Damage = Callable[[Path], None]
 
@@ -44,7 +44,10 @@ def _truncate(path: Path) -> None:
     [
         (lambda d: (d / "left" / "000001.png").unlink(), ["left/000001.png"]),
         (lambda d: _truncate(d / "right" / "000002.png"), ["right/000002.png"]),
-        (lambda d: (d / "drive.yaml").write_text("format_version: 9\n"), ["drive.yaml"]),
+        (
+            lambda d: edit(d / "drive.yaml", "format_version: 1", "format_version: 9"),
+            ["drive.yaml", "format_version", "found 9"],
+        ),
         (lambda d: (d / "drive.yaml").unlink(), ["drive"]),
     ],
     ids=["missing image", "truncated image", "unknown version", "no drive.yaml"],
