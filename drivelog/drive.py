@@ -6,9 +6,9 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,20 +234,42 @@ class Reader(Protocol):
         ...
 
 
+# an installation that is older than the checkout it points to does not list the newest of these
+_OWN = {
+    "folder": "polemap.drivelog.readers.folder:reader",
+    "kitti_odometry": "polemap.drivelog.readers.kitti_odometry:reader",
+    "kitti_raw": "polemap.drivelog.readers.kitti_raw:reader",
+    "ros_mcap": "polemap.drivelog.readers.bags.reader:reader",
+}
+
+
+class TopicReader(Reader, Protocol):
+    """A reader of recordings with named topics, which a mapping assigns to the streams."""
+
+    takes_topics: Literal[True]
+
+    def read(self, path: Path, *, seed: int, topics: Path | None = None) -> Drive:
+        """The drive, by the mapping in the file `topics`; see `Reader`."""
+        ...
+
+
 @cache
 def readers() -> tuple[Reader, ...]:
-    """Every installed reader, sorted by name; looked for once, which takes 20 ms."""
-    points = {point.name: point for point in entry_points(group="polemap.readers")}
+    """Every reader, ours and those of installed packages; looked for once, which takes 20 ms."""
+    group = "polemap.readers"
+    points = {name: EntryPoint(name, value, group) for name, value in _OWN.items()}
+    points |= {point.name: point for point in entry_points(group=group)}
     found = [point.load() for point in points.values()]
     return tuple(sorted(found, key=lambda reader: str(reader.name)))
 
 
-def open_drive(path: str | Path, *, seed: int = 0) -> Drive:
+def open_drive(path: str | Path, *, seed: int = 0, topics: str | Path | None = None) -> Drive:
     """Open a drive, of whatever kind it is.
 
     Args:
         path: folder or file.
         seed: of the noise in sensors that a kind of drive lacks and its reader derives.
+        topics: mapping of the topics of a ROS bag or MCAP file; without it they are guessed.
 
     Raises:
         InputError: no such path, no reader knows it, or something in it cannot be used.
@@ -257,8 +279,16 @@ def open_drive(path: str | Path, *, seed: int = 0) -> Drive:
         if not os.path.exists(path):
             raise InputError(f"{path}: no such drive")
         for reader in readers():
-            if reader.can_read(path):
+            if not reader.can_read(path):
+                continue
+            if topics is None:
                 return reader.read(path, seed=seed)
+            if not getattr(reader, "takes_topics", False):
+                raise InputError(
+                    f"{path}: a drive of kind {reader.name} has no topics; --topics is for ROS "
+                    "bags and MCAP files"
+                )
+            return cast(TopicReader, reader).read(path, seed=seed, topics=Path(topics))
     kinds = ", ".join(reader.name for reader in readers())
     raise InputError(
         f"{path}: not a drive that can be read (kinds: {kinds}); a plain drive folder holds a "

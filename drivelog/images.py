@@ -24,7 +24,7 @@ LARGEST_BYTES = 300 * MEGABYTE
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def _check_png(data: bytes, path: Path) -> None:
+def _check_png(data: bytes, path: Path | str) -> None:
     """Walk the chunks: decoders fill in for what is missing, and only say so on stderr."""
     at = len(_PNG)
     while at + 12 <= len(data):
@@ -52,6 +52,21 @@ def read_grey(path: Path, size: tuple[int, int] | None = None) -> Image:
     """
     with named(path, InputError, "image"):
         data = read_bytes(path, LARGEST_BYTES)
+    return decode_grey(data, path, size)
+
+
+def decode_grey(data: bytes, path: Path | str, size: tuple[int, int] | None = None) -> Image:
+    """A grey image `(height, width)`, 8 or 16 bit, from the bytes of a file.
+
+    Args:
+        data: PNG, JPEG or what else OpenCV decodes.
+        path: the file or place that errors name.
+        size: width and height that it must have.
+
+    Raises:
+        InputError: truncated, damaged, or no image.
+    """
+    with named(path, InputError, "image"):
         if data.startswith(_PNG):
             _check_png(data, path)
         width, height = check_size(data)

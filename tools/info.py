@@ -11,14 +11,19 @@ import typer
 from numpy.typing import NDArray
 
 from polemap.build.history import COLUMN
+from polemap.drivelog.atomic import check_file
 from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
+from polemap.drivelog.readers.bags.describe import describe_topics, write_mapping
+from polemap.drivelog.readers.bags.files import is_log
+from polemap.drivelog.readers.bags.reader import survey
 from polemap.errors import PolemapError
 from polemap.map.io import MAP_ENDINGS, read_map
 from polemap.map.plausibility import check_map, check_map_of_drive
 from polemap.map.pole_map import PoleMap
-from polemap.tools.option_types import SeedOption
+from polemap.tools.option_types import SeedOption, TopicsOption
 from polemap.tools.plausible import find
 
 Floats = NDArray[np.float64]
@@ -34,6 +39,11 @@ def command(
     as_json: Annotated[
         bool, typer.Option("--json", help="The findings alone, as a list; exit 2 with errors.")
     ] = False,
+    topics: TopicsOption = None,
+    write_mapping_to: Annotated[
+        Path | None,
+        typer.Option("--write-mapping", help="File to write the use of a log's topics to."),
+    ] = None,
     seed: SeedOption = 0,
 ) -> None:
     """Say what is inside a drive (streams, rates, gaps, extent, calibration) or a map.
@@ -43,12 +53,13 @@ def command(
         polemap info campus.gpkg
         polemap info poles.csv --drive drives/monday
         polemap info drives/monday --json
+        polemap info drive.mcap --write-mapping topics.yaml
 
     Streams are held against each other under "plausible?": what the other commands refuse
     ("error") or warn of. docs/drives.md lists the findings.
     """
     if as_json:
-        found = _findings(path, frame_of, seed)
+        found = _findings(path, frame_of, topics, seed)
         typer.echo(json.dumps([finding.to_dict() for finding in found], indent=2))
         if any(finding.severity == "error" for finding in found):
             raise typer.Exit(2)
@@ -58,12 +69,30 @@ def command(
         pole_map = read_map(path, frame, allow_empty=True)
         lines = describe_map(pole_map, path) + describe_findings(check_map(pole_map))
     else:
-        drive = open_drive(path, seed=seed)
+        _describe_log(path, topics, write_mapping_to)
+        drive = open_drive(path, seed=seed, topics=topics)
         lines = describe_drive(drive) + describe_findings(find(drive))
     typer.echo("\n".join(lines))
 
 
-def _findings(path: Path, frame_of: Path | None, seed: int) -> list[Finding]:
+def _describe_log(path: Path, topics: Path | None, write_to: Path | None) -> None:
+    """The topics of a ROS bag or MCAP file, also of one that makes no drive yet."""
+    if not path.exists() or not is_log(path):
+        if write_to is not None:
+            raise InputError(
+                f"{path}: has no topics to map; --write-mapping is for ROS bags and MCAP files"
+            )
+        return
+    if write_to is not None:
+        check_file(write_to, (path, topics))
+    index, made = survey(path, topics)
+    typer.echo("\n".join(describe_topics(index, made)))
+    if write_to is not None:
+        write_mapping(made.mapping, path, write_to)
+        typer.echo(f"mapping    written to {write_to}: change it, and use it with --topics")
+
+
+def _findings(path: Path, frame_of: Path | None, topics: Path | None, seed: int) -> list[Finding]:
     """What is found in a drive or a map; one that cannot be read is a finding of its own."""
     try:
         drive = open_drive(frame_of, seed=seed) if frame_of is not None else None
@@ -71,7 +100,7 @@ def _findings(path: Path, frame_of: Path | None, seed: int) -> list[Finding]:
             pole_map = read_map(path, drive.frame if drive else None, allow_empty=True)
             found = check_map(pole_map)
             return found + check_map_of_drive(pole_map, drive) if drive else found
-        return find(open_drive(path, seed=seed))
+        return find(open_drive(path, seed=seed, topics=topics))
     except PolemapError as error:
         remedy = "mend what the value names"
         return [Finding("unreadable", "error", path.name, str(error), "a readable input", remedy)]

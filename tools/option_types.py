@@ -20,3 +20,7 @@ SeedOption = Annotated[
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Go on with inputs that cannot be right.")
 ]
+TopicsOption = Annotated[
+    Path | None,
+    typer.Option("--topics", help="Mapping of a log's topics (info --write-mapping writes one)."),
+]

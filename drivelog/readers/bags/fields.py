@@ -1,0 +1,120 @@
+"""The numbers that are kept of a message: one row of fixed columns for every kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from polemap.drivelog.readers.bags.types import Kind
+
+Row = Sequence[float]
+Extract = Callable[[Any], Row]
+
+COLUMNS: dict[Kind, tuple[str, ...]] = {
+    "gnss": ("latitude_deg", "longitude_deg", "status", "var_east_m2", "var_north_m2"),
+    "imu": ("x_radps", "y_radps", "z_radps"),
+    "odometry": (
+        *("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "var_x_m2", "var_y_m2"),
+        *("speed_mps", "lateral_mps", "yaw_rate_radps"),
+    ),
+    "pose": ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "var_x_m2", "var_y_m2"),
+    "twist": ("speed_mps", "lateral_mps", "yaw_rate_radps"),
+    "ackermann": ("speed_mps", "road_wheel_angle_rad"),
+    "number": ("value",),
+}
+
+
+def _gnss(message: Any) -> Row:
+    covariance = message.position_covariance
+    known = int(message.position_covariance_type) > 0 and len(covariance) == 9
+    status = getattr(message, "status", None)
+    return (
+        message.latitude,
+        message.longitude,
+        # Foxglove's LocationFix has no status: what is recorded is a fix
+        float(status.status) if status is not None and hasattr(status, "status") else 0.0,
+        covariance[0] if known else np.nan,
+        covariance[4] if known else np.nan,
+    )
+
+
+def _imu(message: Any) -> Row:
+    turn = message.angular_velocity
+    return turn.x, turn.y, turn.z
+
+
+def _pose_part(pose: Any, covariance: Any) -> Row:
+    place, turn = pose.position, pose.orientation
+    known = covariance is not None and len(covariance) == 36
+    variances = (covariance[0], covariance[7]) if known else (np.nan, np.nan)
+    return (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w, *variances)
+
+
+def _pose(message: Any) -> Row:
+    pose = message.pose
+    if hasattr(pose, "pose"):
+        return _pose_part(pose.pose, pose.covariance)
+    return _pose_part(pose, None)
+
+
+def _twist_part(twist: Any) -> Row:
+    return twist.linear.x, twist.linear.y, twist.angular.z
+
+
+def _twist(message: Any) -> Row:
+    twist = getattr(message, "twist", message)
+    return _twist_part(getattr(twist, "twist", twist))
+
+
+def _odometry(message: Any) -> Row:
+    return (
+        *_pose_part(message.pose.pose, message.pose.covariance),
+        *_twist_part(message.twist.twist),
+    )
+
+
+def _ackermann(message: Any) -> Row:
+    drive = getattr(message, "drive", message)
+    return drive.speed, drive.steering_angle
+
+
+def _number(message: Any) -> Row:
+    return (message.data,)
+
+
+_EXTRACTS: dict[Kind, Extract] = {
+    "gnss": _gnss,
+    "imu": _imu,
+    "odometry": _odometry,
+    "pose": _pose,
+    "twist": _twist,
+    "ackermann": _ackermann,
+    "number": _number,
+}
+
+
+def extract_of(kind: Kind) -> Extract | None:
+    """What takes the `COLUMNS` of a kind from a message; None for kinds that have none."""
+    return _EXTRACTS.get(kind)
+
+
+def by_path(paths: Sequence[str]) -> Extract:
+    """What takes the numbers at dotted paths, such as `twist.linear.x` or `velocity[2]`.
+
+    Raises (when called):
+        AttributeError, LookupError, TypeError: the message has no such field.
+    """
+    steps = [path.replace("[", ".").replace("]", "").split(".") for path in paths]
+
+    def extract(message: Any) -> Row:
+        values = []
+        for path in steps:
+            value = message
+            for step in path:
+                value = value[int(step)] if step.isdigit() else getattr(value, step)
+            values.append(float(value))
+        return values
+
+    return extract

@@ -1,0 +1,268 @@
+"""The mapping of topics to a drive: what `info --write-mapping` writes and `--topics` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.bags.index import LogIndex
+from polemap.drivelog.readers.bags.types import Kind
+from polemap.drivelog.readers.drive_yaml import AntennaPart, MountingPart
+from polemap.parsing.errors import named
+from polemap.parsing.text import MEGABYTE, read_text
+from polemap.parsing.yaml_text import parse_yaml
+
+_Finite = Field(allow_inf_nan=False)
+Topic = Annotated[str, Field(min_length=1, max_length=400)]
+
+# factor to metres a second or radians a second
+SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
+TURN_UNITS = {
+    "rad/s": 1.0,
+    "deg/s": 0.017453292519943295,
+    "rev/s": 6.283185307179586,
+    "rev/min": 0.10471975511965977,
+}
+_SPEEDS: tuple[Kind, ...] = ("odometry", "twist", "ackermann", "joints", "number")
+_TURNS: tuple[Kind, ...] = ("odometry", "twist", "ackermann", "imu")
+_UNITS = (*SPEED_UNITS, *TURN_UNITS)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class VehiclePart(_Part):
+    """The car, and where its rear axle is in the frame that TF calls the car."""
+
+    wheelbase_m: float | None = Field(None, gt=0.3, lt=20.0)
+    base_frame: str | None = Field(None, min_length=1, max_length=200)
+    rear_axle_x_m: float = Field(0.0, ge=-20.0, le=20.0)
+    base_above_ground_m: float | None = Field(None, ge=-5.0, le=5.0)
+
+
+class CameraSide(_Part):
+    """One camera: its pictures and its calibration."""
+
+    image: Topic
+    info: Topic | None = None
+
+
+class CameraPart(_Part):
+    """The stereo pair.
+
+    Attributes:
+        rectified: whether the pictures are; None to tell it from calibration and names.
+        baseline_m: where the calibrations do not say it.
+        pair_tolerance_s: how far apart the stamps of left and right may be; None for half a
+            frame, 5 ms at most.
+    """
+
+    left: CameraSide
+    right: CameraSide
+    rectified: bool | None = None
+    baseline_m: float | None = Field(None, gt=0.0, lt=10.0)
+    pair_tolerance_s: float | None = Field(None, ge=0.0, le=1.0)
+    vehicle_from_camera: MountingPart | None = None
+
+
+class Signal(_Part):
+    """Where a number comes from.
+
+    Attributes:
+        topic: its topic.
+        fields: dotted paths in the message; the mean of several. Not needed for the usual types.
+        unit: of the numbers; rad/s, deg/s, rev/s and rev/min of a speed are those of a wheel.
+        scale: multiplies them; -1 turns the sign.
+    """
+
+    topic: Topic
+    fields: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
+        (), max_length=8
+    )
+    unit: str | None = None
+    scale: float = Field(1.0, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _known(self) -> Signal:
+        if self.unit is not None and self.unit not in _UNITS:
+            raise ValueError(f"unit '{self.unit[:20]}' is unknown; known are {', '.join(_UNITS)}")
+        if self.scale == 0.0:
+            raise ValueError("scale is 0, every value would be")
+        return self
+
+
+class OdometryPart(_Part):
+    """Speed and yaw rate, from one topic or from two."""
+
+    speed: Signal
+    yaw_rate: Signal | None = None
+    wheel_radius_m: float | None = Field(None, gt=0.05, lt=2.0)
+
+    @model_validator(mode="after")
+    def _wheels_have_a_radius(self) -> OdometryPart:
+        if self.speed.unit in TURN_UNITS and self.wheel_radius_m is None:
+            raise ValueError(f"a speed in {self.speed.unit} needs wheel_radius_m")
+        if self.yaw_rate is not None and self.yaw_rate.unit in SPEED_UNITS:
+            raise ValueError(f"a yaw rate is not in {self.yaw_rate.unit}")
+        return self
+
+
+class GnssPart(_Part):
+    """The receiver; `antenna` in the vehicle frame where TF lacks it."""
+
+    topic: Topic
+    antenna: AntennaPart | None = None
+
+
+class OriginPart(_Part):
+    """Pose of the local frame of reference poses in the drive's earth frame."""
+
+    east_m: float = _Finite
+    north_m: float = _Finite
+    yaw_rad: float = Field(0.0, allow_inf_nan=False)
+
+
+class ReferencePart(_Part):
+    """Poses that are taken as true; `frame` is what they are poses of, where TF knows it."""
+
+    topic: Topic
+    frame: str | None = None
+    sd_m: float | None = Field(None, gt=0.0, allow_inf_nan=False)
+    origin: OriginPart | None = None
+
+
+class FramePart(_Part):
+    """Earth frame of fixes and reference."""
+
+    kind: Literal["utm", "local"]
+    epsg: int | None = None
+    name: str | None = Field(None, min_length=1, max_length=200)
+
+
+class Mapping(_Part):
+    """All of a mapping; a part that is left out is guessed, one that is null is not used."""
+
+    format_version: Literal[1] = 1
+    frame: FramePart | None = None
+    vehicle: VehiclePart = VehiclePart()
+    camera: CameraPart | None = None
+    odometry: OdometryPart | None = None
+    gnss: GnssPart | None = None
+    reference: ReferencePart | None = None
+
+    def fields(self) -> dict[str, tuple[str, ...]]:
+        """Further fields that one pass has to keep, by topic."""
+        if self.odometry is None:
+            return {}
+        found: dict[str, tuple[str, ...]] = {}
+        for signal in (self.odometry.speed, self.odometry.yaw_rate):
+            if signal is not None and signal.fields:
+                known = found.get(signal.topic, ())
+                found[signal.topic] = (*known, *(f for f in signal.fields if f not in known))
+        return found
+
+
+def read_mapping(path: Path) -> Mapping:
+    """Read a mapping.
+
+    Raises:
+        InputError: no YAML, or all mistakes in it, each with its line and key.
+    """
+    with named(path, InputError, "mapping"):
+        text = read_text(path, MEGABYTE)
+        values = parse_yaml(text)
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: holds no keys; `polemap info LOG --write-mapping` writes one")
+    try:
+        return Mapping.model_validate(values)
+    except ValidationError as error:
+        lines = key_lines(text)
+        raise InputError(
+            f"{path}: " + "; ".join(_mistake(one, lines) for one in error.errors())
+        ) from error
+
+
+def _mistake(error: Any, lines: dict[tuple[str, ...], int]) -> str:
+    place = tuple(str(part) for part in error["loc"])
+    line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), 1)
+    message = str(error["msg"]).removeprefix("Value error, ")
+    if error["type"] == "extra_forbidden":
+        message = "is no key of a mapping"
+    elif error["type"] == "missing":
+        message = "is missing"
+    elif not isinstance(error["input"], dict):
+        message += f" (found {str(error['input'])[:40]})"
+    return f"line {line}: {'.'.join(place)}: {message}"
+
+
+def key_lines(text: str) -> dict[tuple[str, ...], int]:
+    """The line on which each key of a YAML text stands, by its path."""
+
+    def walk(
+        node: yaml.Node | None, place: tuple[str, ...]
+    ) -> Iterator[tuple[tuple[str, ...], int]]:
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                here = (*place, str(key.value))
+                yield here, key.start_mark.line + 1
+                yield from walk(value, here)
+        elif isinstance(node, yaml.SequenceNode):
+            for number, value in enumerate(node.value):
+                yield (*place, str(number)), value.start_mark.line + 1
+                yield from walk(value, (*place, str(number)))
+
+    return dict(walk(yaml.compose(text, Loader=yaml.SafeLoader), ()))
+
+
+def check_topics(mapping: Mapping, index: LogIndex, path: Path) -> None:
+    """Every topic of a mapping is in the recording and of a type that fits.
+
+    Raises:
+        InputError: all that are not.
+    """
+    lines = key_lines(read_text(path, MEGABYTE))
+    mistakes = []
+    for place, name, kinds in _named(mapping):
+        topic = index.topics.get(name)
+        line = f"line {lines.get(place, 1)}: {'.'.join(place)}"
+        if topic is None:
+            near = get_close_matches(name, list(index.topics), n=1, cutoff=0.4)
+            hint = f" (near it: '{near[0]}')" if near else ""
+            mistakes.append(f"{line}: no topic '{name[:60]}' was recorded{hint}")
+        elif kinds and topic.kind not in kinds:
+            mistakes.append(
+                f"{line}: '{name[:60]}' is of type {topic.channel.type_name}, which gives no "
+                f"{place[-2] if place[-1] == 'topic' else place[-1]}"
+            )
+        elif not topic.count:
+            mistakes.append(f"{line}: '{name[:60]}' holds no message")
+        elif topic.undecodable == topic.count or (topic.reason and not topic.undecodable):
+            mistakes.append(f"{line}: '{name[:60]}' cannot be read: {topic.reason[:120]}")
+    if mistakes:
+        raise InputError(f"{path}: {'; '.join(mistakes)}")
+
+
+def _named(mapping: Mapping) -> Iterator[tuple[tuple[str, ...], str, tuple[Kind, ...]]]:
+    """Place in the mapping, topic and the kinds that fit, for every topic that it names."""
+    if mapping.camera is not None:
+        for side in ("left", "right"):
+            camera: CameraSide = getattr(mapping.camera, side)
+            yield ("camera", side, "image"), camera.image, ("picture",)
+            if camera.info is not None:
+                yield ("camera", side, "info"), camera.info, ("camera",)
+    if mapping.odometry is not None:
+        for part, kinds in (("speed", _SPEEDS), ("yaw_rate", _TURNS)):
+            signal: Signal | None = getattr(mapping.odometry, part)
+            if signal is not None:
+                yield ("odometry", part, "topic"), signal.topic, () if signal.fields else kinds
+    if mapping.gnss is not None:
+        yield ("gnss", "topic"), mapping.gnss.topic, ("gnss", "pose", "odometry")
+    if mapping.reference is not None:
+        yield ("reference", "topic"), mapping.reference.topic, ("pose", "odometry")

@@ -1,0 +1,254 @@
+"""Odometry, GNSS and reference of a recording as streams at the rear axle."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame, grid_from_geographic
+from polemap.drivelog.readers.bags import mapping as m
+from polemap.drivelog.readers.bags.clocks import LogClock, seconds, times_of
+from polemap.drivelog.readers.bags.index import LogIndex, Topic
+from polemap.drivelog.readers.bags.transforms import rotation_from_quaternion
+from polemap.drivelog.readers.bags.vehicle_frame import VehicleFrame
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.vehicle.pose import rotate, wrap_angle
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# a receiver's deviation an axis at a dilution of one: the localizer's `gnss.sd_m`
+_SD_AT_DILUTION_ONE_M = 2.5
+_UNKNOWN_FRAME = (
+    "{topic}: '{frame}' is not tied to the car by TF: its poses are taken to be those of the rear "
+    "axle"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """What streams are made from."""
+
+    index: LogIndex
+    vehicle: VehicleFrame
+    clock: LogClock
+    problems: Counter[str]
+    notes: list[str]
+
+    def in_order(
+        self,
+        topic: Topic,
+        name: str,
+        values: Floats,
+        usable: NDArray[np.bool_] | None = None,
+        optional: int = 0,
+    ) -> tuple[Integers, Integers, Floats]:
+        """Stamps, arrivals and rows `(n, k)` sorted by stamp; what cannot be used is counted.
+
+        Args:
+            topic: of the values.
+            name: of the stream, in the counts.
+            values: `(n, k)`.
+            usable: `(n,)` rows to keep; the caller has counted the others.
+            optional: how many of the last columns may be NaN.
+        """
+        times = times_of(topic, self.clock, name, self.problems, self.notes)
+        stamp, arrival = times.stamp_ns, times.arrival_ns
+        finite = np.isfinite(values[:, : values.shape[1] - optional]).all(axis=1)
+        if usable is None:
+            usable = np.ones(len(values), dtype=bool)
+        if lost := int(np.count_nonzero(usable & ~finite)):
+            self.problems[f"{name}_not_finite"] += lost
+        finite &= usable
+        stamp, arrival, values = stamp[finite], arrival[finite], values[finite]
+        if back := int(np.count_nonzero(np.diff(stamp) < 0)):
+            self.notes.append(f"{topic.name}: {back} messages come out of order: sorted by stamp")
+        order = np.argsort(stamp, kind="stable")
+        stamp, arrival, values = stamp[order], arrival[order], values[order]
+        first = np.concatenate([[True], np.diff(stamp) > 0]) if len(stamp) else np.zeros(0, bool)
+        if twice := int(np.count_nonzero(~first)):
+            self.problems[f"{name}_duplicate_stamps"] += twice
+        return stamp[first], arrival[first], values[first]
+
+
+def odometry_stream(signals: Signals, part: m.OdometryPart, wheelbase_m: float) -> OdometryStream:
+    """Speed and yaw rate of the rear axle."""
+    topics = signals.index.topics
+    topic = topics[part.speed.topic]
+    speed = _speed(topic, part)
+    turn = part.yaw_rate or part.speed
+    if turn.topic == part.speed.topic:
+        yaw_rate = _yaw_rate(topic, turn, signals, speed, wheelbase_m)
+        stamp, arrival, both = signals.in_order(
+            topic, "odometry", np.stack([speed, yaw_rate], axis=1)
+        )
+    else:
+        stamp, arrival, both = signals.in_order(topic, "odometry", speed[:, None])
+        other = topics[turn.topic]
+        rates = _yaw_rate(other, turn, signals, None, wheelbase_m)
+        stamp, arrival, both = _joined(
+            signals, (stamp, arrival, both), signals.in_order(other, "yaw_rate", rates[:, None])
+        )
+    values = both[:, 0], both[:, 1]
+    if topic.child_frame_id and not part.speed.fields:
+        values = _at_axle(signals, topic, *values)
+    return OdometryStream(seconds(stamp), seconds(arrival), *values)
+
+
+def _speed(topic: Topic, part: m.OdometryPart) -> Floats:
+    names = part.speed.fields or ("speed_mps",)
+    if part.speed.fields == () and topic.kind == "joints":
+        names = topic.columns
+    elif part.speed.fields == () and topic.kind == "number":
+        names = ("value",)
+    speed = np.mean([topic.column(name) for name in names], axis=0)
+    unit = part.speed.unit or "m/s"
+    factor = m.SPEED_UNITS.get(unit)
+    if factor is None:
+        factor = m.TURN_UNITS[unit] * float(part.wheel_radius_m or 0.0)
+    return np.asarray(speed * (factor * part.speed.scale))
+
+
+def _yaw_rate(
+    topic: Topic, signal: m.Signal, signals: Signals, speed: Floats | None, wheelbase_m: float
+) -> Floats:
+    factor = m.TURN_UNITS[signal.unit if signal.unit in m.TURN_UNITS else "rad/s"] * signal.scale
+    if signal.fields and signal.fields[0] in topic.columns and topic.columns == signal.fields:
+        return np.asarray(np.mean([topic.column(f) for f in signal.fields], axis=0) * factor)
+    if topic.kind == "imu":
+        rates = np.stack([topic.column(name) for name in topic.columns], axis=1)
+        way = signals.vehicle.vehicle_from(topic.frame_id)
+        if way is None:
+            signals.notes.append(
+                f"{topic.name}: no TF leads to '{topic.frame_id}': its z axis is taken to point up"
+            )
+            return np.asarray(rates[:, 2] * factor)
+        return np.asarray(rates @ way[2, :3] * factor)
+    if topic.kind == "ackermann":
+        if speed is None:
+            speed = topic.column("speed_mps")
+        return np.asarray(speed * np.tan(topic.column("road_wheel_angle_rad") * signal.scale)
+                          / wheelbase_m)  # fmt: skip
+    if "yaw_rate_radps" in topic.columns:
+        return np.asarray(topic.column("yaw_rate_radps") * factor)
+    raise InputError(
+        f"{topic.name}: its messages ({topic.channel.type_name}) have no yaw rate; name its topic "
+        "as odometry.yaw_rate in a mapping"
+    )
+
+
+def _joined(
+    signals: Signals,
+    speed: tuple[Integers, Integers, Floats],
+    turn: tuple[Integers, Integers, Floats],
+) -> tuple[Integers, Integers, Floats]:
+    """Yaw rates between two samples at the stamps of the speeds; known when the later arrived."""
+    if not len(turn[0]):
+        raise InputError("no yaw rate: its topic holds no message that can be used")
+    inside = (speed[0] >= turn[0][0]) & (speed[0] <= turn[0][-1])
+    if lost := int(np.count_nonzero(~inside)):
+        signals.problems["odometry_without_yaw_rate"] += lost
+    stamp, arrival, values = (part[inside] for part in speed)
+    after = np.clip(np.searchsorted(turn[0], stamp), 0, len(turn[0]) - 1)
+    rate = np.interp(seconds(stamp), seconds(turn[0]), turn[2][:, 0])
+    return stamp, np.maximum(arrival, turn[1][after]), np.column_stack([values[:, 0], rate])
+
+
+def _at_axle(
+    signals: Signals, topic: Topic, speed: Floats, yaw_rate: Floats
+) -> tuple[Floats, Floats]:
+    """From where the twist is measured to the rear axle: v_axle = v + r y, y to the left."""
+    way = signals.vehicle.vehicle_from(topic.child_frame_id)
+    if way is None or way[1, 3] == 0.0:
+        return speed, yaw_rate
+    return speed + yaw_rate * way[1, 3], yaw_rate
+
+
+def gnss_stream(signals: Signals, part: m.GnssPart, frame: EarthFrame) -> GnssStream:
+    """Fixes in the drive's frame; those that state to be none are left out and counted."""
+    topic = signals.index.topics[part.topic]
+    if topic.kind != "gnss":
+        return _local_fixes(signals, topic)
+    columns = [topic.column(name) for name in ("latitude_deg", "longitude_deg")]
+    usable = topic.column("status") >= 0
+    if lost := int(np.count_nonzero(~usable)):
+        signals.problems["gnss_without_fix"] += lost
+    variance = (topic.column("var_east_m2") + topic.column("var_north_m2")) / 2.0
+    known = np.isfinite(variance) & (variance > 0)
+    hdop = np.ones(len(variance))
+    hdop[known] = np.sqrt(variance[known]) / _SD_AT_DILUTION_ONE_M
+    bad = (np.abs(columns[0]) > 90) | (np.abs(columns[1]) > 180)
+    if lost := int(np.count_nonzero(bad & usable)):
+        signals.problems["gnss_out_of_range"] += lost
+    stamp, arrival, values = signals.in_order(
+        topic, "gnss", np.stack([*columns, hdop], axis=1), usable & ~bad
+    )
+    points = grid_from_geographic(frame, values[:, 0], values[:, 1]).reshape(-1, 2)
+    return GnssStream(seconds(stamp), seconds(arrival), points[:, 0], points[:, 1], values[:, 2])
+
+
+def _local_fixes(signals: Signals, topic: Topic) -> GnssStream:
+    """Positions of a receiver that works in a local frame already."""
+    variance = (topic.column("var_x_m2") + topic.column("var_y_m2")) / 2.0
+    known = np.isfinite(variance) & (variance > 0)
+    hdop = np.where(known, np.sqrt(np.where(known, variance, 1.0)) / _SD_AT_DILUTION_ONE_M, 1.0)
+    stamp, arrival, values = signals.in_order(
+        topic, "gnss", np.stack([topic.column("x_m"), topic.column("y_m"), hdop], axis=1)
+    )
+    return GnssStream(seconds(stamp), seconds(arrival), values[:, 0], values[:, 1], values[:, 2])
+
+
+def reference_stream(signals: Signals, part: m.ReferencePart) -> ReferenceStream:
+    """Rear-axle poses in the frame of the recording, or moved to the origin that is stated."""
+    topic = signals.index.topics[part.topic]
+    names = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+    rows = np.stack([topic.column(name) for name in names], axis=1)
+    length = np.linalg.norm(rows[:, 3:], axis=1)
+    whole = np.abs(length - 1.0) < 0.1
+    if lost := int(np.count_nonzero(~whole & np.isfinite(length))):
+        signals.problems["reference_without_orientation"] += lost
+    rows = np.column_stack([rows, _stated_sd(topic, part)])
+    stamp, _, values = signals.in_order(
+        topic, "reference", rows, whole | ~np.isfinite(length), optional=1
+    )
+    poses = _axle_poses(signals, topic, part, values[:, :-1])
+    if part.origin is not None:
+        o = part.origin
+        place = rotate(poses[:, :2], o.yaw_rad) + np.array([o.east_m, o.north_m])
+        poses = np.column_stack([place, poses[:, 2] + o.yaw_rad])
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return ReferenceStream(seconds(stamp), poses, values[:, -1])
+
+
+def _stated_sd(topic: Topic, part: m.ReferencePart) -> Floats:
+    if part.sd_m is not None:
+        return np.full(len(topic.stamps_ns), part.sd_m)
+    variance = (topic.column("var_x_m2") + topic.column("var_y_m2")) / 2.0
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(variance > 0, np.sqrt(np.abs(variance)), np.nan))
+
+
+def _axle_poses(signals: Signals, topic: Topic, part: m.ReferencePart, values: Floats) -> Floats:
+    """East, north and yaw of the rear axle, from the poses of another frame of the car."""
+    child = part.frame or topic.child_frame_id or signals.vehicle.base or ""
+    way = signals.vehicle.vehicle_from(child)
+    quaternion = values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
+    if way is None:
+        if child:
+            signals.notes.append(_UNKNOWN_FRAME.format(topic=topic.name, frame=child))
+        way = np.eye(4)
+    child_from_vehicle = np.linalg.inv(way)
+    if np.allclose(child_from_vehicle[:3, :3], np.eye(3), atol=1e-12) and not np.any(
+        child_from_vehicle[:2, 3]
+    ):
+        x, y, z, w = quaternion.T
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return np.column_stack([values[:, :2], yaw])
+    turns = rotation_from_quaternion(quaternion)
+    axle = values[:, :3] + np.einsum("nij,j->ni", turns, child_from_vehicle[:3, 3])
+    turns = turns @ child_from_vehicle[:3, :3]
+    return np.column_stack([axle[:, :2], np.arctan2(turns[:, 1, 0], turns[:, 0, 0])])

@@ -1,0 +1,403 @@
+"""Drives as recordings, written by the reference libraries of each format."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import mcap.writer
+import numpy as np
+from google.protobuf import timestamp_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClassesForFiles
+from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import NDArray
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.frames import geographic_from_grid
+from polemap.stereo.rig import StereoRig
+
+Floats = NDArray[np.float64]
+SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """One message: when it is recorded, on which topic, of which type."""
+
+    log_ns: int
+    topic: str
+    type_name: str
+    content: Any
+
+
+def ns(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
+class Ros:
+    """Messages of a ROS version, made by rosbags' own types."""
+
+    def __init__(self, store: Stores = Stores.ROS2_HUMBLE) -> None:
+        self.store = get_typestore(store)
+        self.one = store == Stores.ROS1_NOETIC
+        text = "geometry_msgs/TransformStamped[] transforms"
+        self.store.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
+
+    def make(self, name: str, *values: Any) -> Any:
+        return self.store.types[name](*values)
+
+    def header(self, stamp_ns: int, frame: str) -> Any:
+        stamp = self.make(
+            "builtin_interfaces/msg/Time", stamp_ns // SECOND_NS, stamp_ns % SECOND_NS
+        )
+        return self.make("std_msgs/msg/Header", *((0,) if self.one else ()), stamp, frame)
+
+    def vector(self, x: float, y: float, z: float, kind: str = "Vector3") -> Any:
+        return self.make(f"geometry_msgs/msg/{kind}", x, y, z)
+
+    def pose(self, x: float, y: float, yaw: float) -> Any:
+        turn = self.make(
+            "geometry_msgs/msg/Quaternion", 0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))
+        )
+        return self.make("geometry_msgs/msg/Pose", self.vector(x, y, 0.0, "Point"), turn)
+
+    def twist(self, speed: float, yaw_rate: float) -> Any:
+        return self.make(
+            "geometry_msgs/msg/Twist", self.vector(speed, 0.0, 0.0), self.vector(0.0, 0.0, yaw_rate)
+        )
+
+    def image(self, stamp_ns: int, picture: NDArray[Any], encoding: str | None = None) -> Any:
+        encoding = encoding or ("mono8" if picture.dtype == np.uint8 else "mono16")
+        height, width = picture.shape[:2]
+        step = picture.nbytes // height
+        data = np.ascontiguousarray(picture).view(np.uint8).ravel()
+        header = self.header(stamp_ns, "camera")
+        return self.make("sensor_msgs/msg/Image", header, height, width, encoding, 0, step, data)
+
+    def compressed(self, stamp_ns: int, picture: NDArray[Any], form: str = "png") -> Any:
+        data = cv2.imencode(f".{form}", picture)[1].ravel()
+        header = self.header(stamp_ns, "camera")
+        return self.make("sensor_msgs/msg/CompressedImage", header, form, data)
+
+    def info(self, stamp_ns: int, rig: StereoRig, side: str, **other: Any) -> Any:
+        shift = -rig.focal_px * rig.baseline_m if side == "right" else 0.0
+        f, cx, cy = rig.focal_px, rig.cx_px, rig.cy_px
+        values = {
+            "lens": "plumb_bob", "D": np.zeros(5),
+            "K": np.array([f, 0, cx, 0, f, cy, 0, 0, 1.0]), "R": np.eye(3).ravel(),
+            "P": np.array([f, 0, cx, shift, 0, f, cy, 0, 0, 0, 1.0, 0]), **other,
+        }  # fmt: skip
+        roi = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
+        return self.make(
+            "sensor_msgs/msg/CameraInfo", self.header(stamp_ns, "camera"), rig.height_px,
+            rig.width_px, values["lens"], values["D"], values["K"], values["R"], values["P"], 0, 0,
+            roi,
+        )  # fmt: skip
+
+    def fix(self, stamp_ns: int, place: Floats, sd_m: float, status: int = 0) -> Any:
+        state = self.make("sensor_msgs/msg/NavSatStatus", status, 1)
+        covariance = np.diag([sd_m**2, sd_m**2, 9.0]).ravel()
+        return self.make(
+            "sensor_msgs/msg/NavSatFix", self.header(stamp_ns, "gnss"), state, float(place[0]),
+            float(place[1]), 0.0, covariance, 2,
+        )  # fmt: skip
+
+    def transforms(self, *several: tuple[str, str, Floats, Floats]) -> Any:
+        """Each parent, child, translation `(3,)` and rotation matrix `(3, 3)`."""
+        made = []
+        for parent, child, place, turn in several:
+            quaternion = self.make("geometry_msgs/msg/Quaternion", *quaternion_of(turn))
+            motion = self.make("geometry_msgs/msg/Transform", self.vector(*place), quaternion)
+            made.append(
+                self.make(
+                    "geometry_msgs/msg/TransformStamped", self.header(0, parent), child, motion
+                )
+            )
+        return self.make("tf2_msgs/msg/TFMessage", made)
+
+
+def quaternion_of(rotation: Floats) -> tuple[float, float, float, float]:
+    """x, y, z, w, by the eigenvector of the largest eigenvalue (Bar-Itzhack 2000)."""
+    r = rotation
+    k = np.array([
+        [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+        [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+        [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+        [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], np.trace(r)],
+    ])  # fmt: skip
+    x, y, z, w = np.linalg.eigh(k)[1][:, -1]
+    return float(x), float(y), float(z), float(w)
+
+
+def ros_messages(drive: Drive, ros: Ros, *, png: bool = False) -> list[Said]:
+    """All of a drive, in the order of arrival."""
+    said = list(_ros_pictures(drive, ros, png))
+    if drive.rig is not None:
+        mount = drive.rig.vehicle_from_camera
+        place = np.array([mount.x_m, mount.y_m, mount.z_m])
+        antenna = np.array([*drive.gnss_antenna_m, 1.6])
+        content = ros.transforms(
+            ("rear_axle", "camera", place, mount.rotation()),
+            ("rear_axle", "gnss", antenna, np.eye(3)),
+        )
+        said.append(Said(ns(drive.span_s[0]), "/tf_static", "tf2_msgs/msg/TFMessage", content))
+    if drive.odometry is not None:
+        for row in map(drive.odometry.sample, range(len(drive.odometry))):
+            content = ros.make(
+                "geometry_msgs/msg/TwistStamped", ros.header(ns(row.stamp_s), "rear_axle"),
+                ros.twist(row.speed_mps, row.yaw_rate_radps),
+            )  # fmt: skip
+            said.append(
+                Said(ns(row.arrival_s), "/wheel/twist", "geometry_msgs/msg/TwistStamped", content)
+            )
+    if drive.reference is not None:
+        for stamp, pose in zip(drive.reference.stamp_s, drive.reference.poses, strict=True):
+            content = ros.make(
+                "geometry_msgs/msg/PoseStamped", ros.header(ns(stamp), "map"), ros.pose(*pose)
+            )
+            said.append(Said(ns(stamp), "/ground_truth", "geometry_msgs/msg/PoseStamped", content))
+    said += _ros_fixes(drive, ros)
+    return sorted(said, key=lambda one: one.log_ns)
+
+
+def _ros_pictures(drive: Drive, ros: Ros, png: bool) -> Iterator[Said]:
+    for row in range(len(drive.frame_stamps_s)):
+        frame = drive.read_frame(row)
+        stamp, log = ns(frame.stamp_s), ns(frame.arrival_s)
+        for side in ("left", "right"):
+            picture = getattr(frame, side)
+            name = f"/stereo/{side}/image_rect"
+            if png:
+                kind = "sensor_msgs/msg/CompressedImage"
+                yield Said(log, f"{name}/compressed", kind, ros.compressed(stamp, picture))
+            else:
+                yield Said(log, name, "sensor_msgs/msg/Image", ros.image(stamp, picture))
+            assert drive.rig is not None
+            kind = "sensor_msgs/msg/CameraInfo"
+            yield Said(log, f"/stereo/{side}/camera_info", kind, ros.info(stamp, drive.rig, side))
+
+
+def _ros_fixes(drive: Drive, ros: Ros) -> Iterator[Said]:
+    """Fixes by latitude and longitude, or as poses where the drive's frame is local."""
+    if drive.gnss is None:
+        return
+    points = np.stack([drive.gnss.east_m, drive.gnss.north_m], axis=1)
+    places = geographic_from_grid(drive.frame, points) if drive.frame.is_utm else points
+    for row, place in enumerate(places):
+        stamp, log = ns(drive.gnss.stamp_s[row]), ns(drive.gnss.arrival_s[row])
+        if drive.frame.is_utm:
+            content = ros.fix(stamp, place, 2.5 * float(drive.gnss.hdop[row]))
+            yield Said(log, "/gnss/fix", "sensor_msgs/msg/NavSatFix", content)
+        else:
+            content = ros.make(
+                "geometry_msgs/msg/PoseStamped", ros.header(stamp, "map"), ros.pose(*place, 0.0)
+            )
+            yield Said(log, "/gnss/local", "geometry_msgs/msg/PoseStamped", content)
+
+
+def write_rosbag1(
+    path: Path, said: Iterable[Said], ros: Ros, compression: str | None = None
+) -> Path:
+    with_writer = rosbag1.Writer(path)
+    if compression:
+        with_writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
+    known: dict[str, Any] = {}
+    with with_writer as writer:
+        for one in said:
+            if one.topic not in known:
+                known[one.topic] = writer.add_connection(
+                    one.topic, one.type_name, typestore=ros.store
+                )
+            data = ros.store.serialize_ros1(one.content, one.type_name)
+            writer.write(known[one.topic], one.log_ns, data)
+    return path
+
+
+def write_rosbag2(
+    path: Path, said: Iterable[Said], ros: Ros, storage: str = "MCAP", compression: str = "NONE"
+) -> Path:
+    with_writer = rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin[storage])
+    if compression != "NONE":
+        with_writer.set_compression(
+            rosbag2.CompressionMode[compression], rosbag2.CompressionFormat.ZSTD
+        )
+    known: dict[str, Any] = {}
+    with with_writer as writer:
+        for one in said:
+            if one.topic not in known:
+                known[one.topic] = writer.add_connection(
+                    one.topic, one.type_name, typestore=ros.store
+                )
+            data = ros.store.serialize_cdr(one.content, one.type_name)
+            writer.write(known[one.topic], one.log_ns, data)
+    return path
+
+
+def write_mcap(
+    path: Path, said: Iterable[Said], ros: Ros, compression: str = "ZSTD", **options: Any
+) -> Path:
+    """A bare MCAP file of ROS 2 messages by `mcap`'s own writer."""
+    with path.open("wb") as file:
+        writer = mcap.writer.Writer(
+            file, compression=mcap.writer.CompressionType[compression], **options
+        )
+        writer.start(profile="ros2", library="test")
+        known: dict[str, int] = {}
+        for number, one in enumerate(said):
+            if one.topic not in known:
+                text, _ = ros.store.generate_msgdef(one.type_name, ros_version=2)
+                schema = writer.register_schema(one.type_name, "ros2msg", text.encode())
+                known[one.topic] = writer.register_channel(one.topic, "cdr", schema)
+            data = bytes(ros.store.serialize_cdr(one.content, one.type_name))
+            writer.add_message(known[one.topic], one.log_ns, data, one.log_ns, number)
+        writer.finish()
+    return path
+
+
+# Foxglove's schemas as far as they are used here. Source: github.com/foxglove/foxglove-sdk
+_NUMBER, _TEXT, _BYTES, _UINT = (
+    FieldDescriptorProto.TYPE_DOUBLE, FieldDescriptorProto.TYPE_STRING,
+    FieldDescriptorProto.TYPE_BYTES, FieldDescriptorProto.TYPE_FIXED32,
+)  # fmt: skip
+_TIME = ".google.protobuf.Timestamp"
+_FOXGLOVE: dict[str, list[tuple[str, Any, bool]]] = {
+    "Vector3": [(name, _NUMBER, False) for name in "xyz"],
+    "Quaternion": [(name, _NUMBER, False) for name in "xyzw"],
+    "Pose": [("position", ".foxglove.Vector3", False),
+             ("orientation", ".foxglove.Quaternion", False)],
+    "PoseInFrame": [("timestamp", _TIME, False), ("frame_id", _TEXT, False),
+                    ("pose", ".foxglove.Pose", False)],
+    "FrameTransform": [("timestamp", _TIME, False), ("parent_frame_id", _TEXT, False),
+                       ("child_frame_id", _TEXT, False),
+                       ("translation", ".foxglove.Vector3", False),
+                       ("rotation", ".foxglove.Quaternion", False)],
+    "RawImage": [("timestamp", _TIME, False), ("frame_id", _TEXT, False),
+                 ("width", _UINT, False), ("height", _UINT, False), ("encoding", _TEXT, False),
+                 ("step", _UINT, False), ("data", _BYTES, False)],
+    "CompressedImage": [("timestamp", _TIME, False), ("frame_id", _TEXT, False),
+                        ("data", _BYTES, False), ("format", _TEXT, False)],
+    "CameraCalibration": [("timestamp", _TIME, False), ("frame_id", _TEXT, False),
+                          ("width", _UINT, False), ("height", _UINT, False),
+                          ("distortion_model", _TEXT, False),
+                          *((name, _NUMBER, True) for name in "DKRP")],
+    "LocationFix": [("timestamp", _TIME, False), ("frame_id", _TEXT, False),
+                    ("latitude", _NUMBER, False), ("longitude", _NUMBER, False),
+                    ("altitude", _NUMBER, False), ("position_covariance", _NUMBER, True),
+                    ("position_covariance_type", _UINT, False)],
+}  # fmt: skip
+
+
+def foxglove_types() -> dict[str, Any]:
+    """Message classes of `_FOXGLOVE` by name."""
+    file = FileDescriptorProto(name="foxglove.proto", package="foxglove", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    for name, fields in _FOXGLOVE.items():
+        message = file.message_type.add(name=name)
+        for number, (field, kind, repeated) in enumerate(fields, start=1):
+            added = message.field.add(name=field, number=number)
+            label = "LABEL_REPEATED" if repeated else "LABEL_OPTIONAL"
+            added.label = getattr(FieldDescriptorProto, label)
+            if isinstance(kind, str):
+                added.type, added.type_name = FieldDescriptorProto.TYPE_MESSAGE, kind
+            else:
+                added.type = kind
+    pool = DescriptorPool()
+    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    pool.Add(file)
+    return GetMessageClassesForFiles([file.name], pool)
+
+
+def foxglove_messages(drive: Drive) -> list[Said]:
+    """Pictures, calibrations, mounting, fixes and reference as plain dictionaries."""
+    said = []
+
+    def add(log_s: float, stamp_s: float, topic: str, kind: str, **fields: Any) -> None:
+        stamp = ns(stamp_s)
+        time = {"sec": stamp // SECOND_NS, "nsec": stamp % SECOND_NS}
+        said.append(Said(ns(log_s), topic, kind, {"timestamp": time, **fields}))
+
+    rig = drive.rig
+    assert rig is not None
+    assert drive.reference is not None
+    mount = rig.vehicle_from_camera
+    start = drive.span_s[0]
+    add(start, start, "/tf", "FrameTransform", parent_frame_id="rear_axle", child_frame_id="camera",
+        translation=dict(zip("xyz", (mount.x_m, mount.y_m, mount.z_m), strict=True)),
+        rotation=dict(zip("xyzw", quaternion_of(mount.rotation()), strict=True)))  # fmt: skip
+    for row in range(len(drive.frame_stamps_s)):
+        frame = drive.read_frame(row)
+        for side in ("left", "right"):
+            picture = getattr(frame, side)
+            common = {"frame_id": "camera", "width": rig.width_px, "height": rig.height_px}
+            if side == "left":
+                add(frame.arrival_s, frame.stamp_s, "/cam/left/image_rect", "RawImage", **common,
+                    encoding="mono8", step=rig.width_px, data=picture.tobytes())  # fmt: skip
+            else:
+                add(frame.arrival_s, frame.stamp_s, "/cam/right/image_rect", "CompressedImage",
+                    frame_id="camera", format="png",
+                    data=cv2.imencode(".png", picture)[1].tobytes())  # fmt: skip
+            info = Ros().info(0, rig, side)
+            add(frame.arrival_s, frame.stamp_s, f"/cam/{side}/calibration", "CameraCalibration",
+                **common, distortion_model="plumb_bob",
+                **{name: getattr(info, name.lower()).tolist() for name in "DKRP"})  # fmt: skip
+    for stamp, (x, y, yaw) in zip(drive.reference.stamp_s, drive.reference.poses, strict=True):
+        pose = {
+            "position": {"x": x, "y": y, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": np.sin(yaw / 2), "w": np.cos(yaw / 2)},
+        }
+        add(stamp, stamp, "/ground_truth", "PoseInFrame", frame_id="map", pose=pose)
+    if drive.gnss is not None and drive.frame.is_utm:
+        points = np.stack([drive.gnss.east_m, drive.gnss.north_m], axis=1)
+        for row, (latitude, longitude) in enumerate(geographic_from_grid(drive.frame, points)):
+            variance = (2.5 * float(drive.gnss.hdop[row])) ** 2
+            add(drive.gnss.arrival_s[row], drive.gnss.stamp_s[row], "/fix", "LocationFix",
+                frame_id="gnss", latitude=float(latitude), longitude=float(longitude), altitude=0.0,
+                position_covariance=[variance, 0, 0, 0, variance, 0, 0, 0, 9.0],
+                position_covariance_type=2)  # fmt: skip
+    return sorted(said, key=lambda one: one.log_ns)
+
+
+def write_foxglove(path: Path, said: Iterable[Said], encoding: str) -> Path:
+    """A bare MCAP file of Foxglove's messages, `protobuf` or `json`."""
+    types = foxglove_types()
+    encode: Callable[[Said], bytes] = {"protobuf": lambda one: _protobuf(types, one),
+                                       "json": _json}[encoding]  # fmt: skip
+    with path.open("wb") as file:
+        writer = mcap.writer.Writer(file)
+        writer.start()
+        known: dict[str, int] = {}
+        for number, one in enumerate(said):
+            if one.topic not in known:
+                name = f"foxglove.{one.type_name}"
+                if encoding == "protobuf":
+                    schema = build_file_descriptor_set(types[name]).SerializeToString()
+                    number_of = writer.register_schema(name, "protobuf", schema)
+                else:
+                    number_of = writer.register_schema(name, "jsonschema", b'{"type": "object"}')
+                known[one.topic] = writer.register_channel(one.topic, encoding, number_of)
+            writer.add_message(known[one.topic], one.log_ns, encode(one), one.log_ns, number)
+        writer.finish()
+    return path
+
+
+def _protobuf(types: dict[str, Any], one: Said) -> bytes:
+    values = dict(one.content)
+    time = values.pop("timestamp")
+    values["timestamp"] = {"seconds": time["sec"], "nanos": time["nsec"]}
+    return bytes(types[f"foxglove.{one.type_name}"](**values).SerializeToString())
+
+
+def _json(one: Said) -> bytes:
+    values = dict(one.content)
+    if "data" in values:
+        values["data"] = base64.b64encode(values["data"]).decode()
+    return json.dumps(values).encode()
