@@ -1,8 +1,6 @@
-"""The stereo rig of a recording: calibrations of both cameras, mounting by TF or mapping."""
+"""The stereo camera of a recording: calibrations of both sides, mounting by TF or mapping."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +10,9 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.readers.bags.index import LogIndex, Topic
 from polemap.drivelog.readers.bags.mapping import CameraPart
 from polemap.drivelog.readers.bags.vehicle_frame import VehicleFrame
-from polemap.drivelog.readers.kitti import VEHICLE_FROM_CAMERA_AXES, mounting
+from polemap.stereo.calibration import CameraInfo, camera_info, of_camera_infos
+from polemap.stereo.errors import StereoError
+from polemap.stereo.rectify import Rectifier
 from polemap.stereo.rig import Mounting, StereoRig
 
 Floats = NDArray[np.float64]
@@ -20,41 +20,12 @@ Floats = NDArray[np.float64]
 # what differs by less than this between raw and rectified is no distortion a picture could show
 _SAME_PX = 0.01
 _ASSUMED_HEIGHT_M = 1.5
+# of a camera's body (x ahead, y left, z up), the axes of its optical frame (z ahead, x right)
+_BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-@dataclass(frozen=True, slots=True)
-class CameraModel:
-    """One calibration message.
-
-    Attributes:
-        matrix: `(3, 3)` K of the raw pictures.
-        lens: name of the distortion model.
-        coefficients: D.
-        rotation: `(3, 3)` R, rectified from raw axes.
-        projection: `(3, 4)` P of the rectified pictures.
-    """
-
-    frame_id: str
-    width_px: int
-    height_px: int
-    matrix: Floats
-    lens: str
-    coefficients: Floats
-    rotation: Floats
-    projection: Floats
-
-    @property
-    def is_rectified(self) -> bool:
-        """Whether raw pictures are rectified ones: no lens, no rotation, the same pinhole."""
-        return (
-            not np.any(self.coefficients)
-            and bool(np.allclose(self.rotation, np.eye(3), atol=1e-9))
-            and bool(np.allclose(self.matrix, self.projection[:, :3], atol=_SAME_PX))
-        )
-
-
-def camera_model(topic: Topic) -> CameraModel:
-    """The calibration that a topic states.
+def stated_camera(topic: Topic) -> CameraInfo:
+    """The calibration that a topic states; what a driver leaves at zero is filled in.
 
     Raises:
         InputError: it is not calibrated, or holds something else than numbers.
@@ -67,67 +38,54 @@ def camera_model(topic: Topic) -> CameraModel:
         values = getattr(message, name.lower(), getattr(message, name, ()))
         return np.array([float(value) for value in values], dtype=np.float64)
 
-    matrix, projection, turn = numbers("K"), numbers("P"), numbers("R")
-    if matrix.size != 9 or not matrix[0] > 0:
-        raise InputError(f"{topic.name}: is not calibrated (K is {matrix[:3].tolist()}…)")
-    if projection.size != 12 or not projection[0] > 0:  # monocular drivers leave P at zero
-        projection = np.hstack([matrix.reshape(3, 3), np.zeros((3, 1))]).ravel()
-    if turn.size != 9 or not np.any(turn):
-        turn = np.eye(3).ravel()
-    everything = np.concatenate([matrix, projection, turn, numbers("D")])
-    if not np.isfinite(everything).all():
-        raise InputError(f"{topic.name}: holds numbers that are not finite")
-    return CameraModel(
-        topic.frame_id,
-        int(message.width),
-        int(message.height),
-        matrix.reshape(3, 3),
-        str(message.distortion_model),
-        numbers("D"),
-        turn.reshape(3, 3),
-        projection.reshape(3, 4),
+    k, d, r, p = (numbers(name) for name in "KDRP")
+    if k.size != 9 or not k[0] > 0:
+        raise InputError(f"{topic.name}: is not calibrated (its K is {k[:3].tolist()}…)")
+    if p.size != 12 or not p[0] > 0:  # drivers of single cameras leave P at zero
+        p = np.hstack([k.reshape(3, 3), np.zeros((3, 1))]).ravel()
+    if r.size != 9 or not np.any(r):
+        r = np.eye(3).ravel()
+    size = int(message.width), int(message.height)
+    try:
+        return camera_info(size, str(message.distortion_model), (k, d, r, p))
+    except StereoError as error:
+        raise InputError(f"{topic.name}: {error}") from error
+
+
+def is_rectified(side: CameraInfo) -> bool:
+    """Whether raw pictures are rectified ones: no lens, no rotation, the same pinhole."""
+    return (
+        not side.camera.has_distortion
+        and bool(np.allclose(side.rectification, np.eye(3), atol=1e-9))
+        and bool(np.allclose(side.camera.matrix, side.projection[:, :3], atol=_SAME_PX))
     )
 
 
-def stereo_rig(
+def stereo_camera(
     index: LogIndex, part: CameraPart, vehicle: VehicleFrame, findings: list[Finding]
-) -> StereoRig:
-    """The rig of a pair of rectified pictures.
+) -> tuple[StereoRig, Rectifier | None]:
+    """The rectified rig, and what makes rectified pictures of raw ones where they are raw.
 
     Raises:
-        InputError: a calibration is missing or is none, the two do not fit each other, or the
-            pictures have to be rectified first.
+        InputError: a calibration is missing or is none, or the two do not fit each other.
     """
-    left, right = (
-        camera_model(_info(index, side, getattr(part, side).info)) for side in ("left", "right")
-    )
+    topics = [_info(index, side, getattr(part, side).info) for side in ("left", "right")]
+    left, right = (stated_camera(topic) for topic in topics)
     named = "rect" in part.left.image.lower() and "unrect" not in part.left.image.lower()
     rectified = part.rectified if part.rectified is not None else named
-    if not rectified and not (left.is_rectified and right.is_rectified):
-        raise InputError(
-            f"{part.left.image}: raw pictures of a lens ({left.lens}); record the rectified topic, "
-            "or set camera.rectified: true in a mapping if they are"
-        )
-    if (left.width_px, left.height_px) != (right.width_px, right.height_px):
-        raise InputError(
-            f"{part.right.info}: {right.width_px}x{right.height_px} pixels, the left camera has "
-            f"{left.width_px}x{left.height_px}: a pair needs one size"
-        )
-    focal = left.projection[0, 0]
-    if abs(right.projection[0, 0] - focal) > 1e-3 * focal:
-        raise InputError(
-            f"{part.right.info}: focal length {right.projection[0, 0]:.2f} px, that of the left "
-            f"camera is {focal:.2f}: these are not the projections of a rectified pair"
-        )
-    return StereoRig(
-        left.width_px,
-        left.height_px,
-        float(focal),
-        float(left.projection[0, 2]),
-        float(left.projection[1, 2]),
-        baseline_m(left, right, part, vehicle),
-        vehicle_from_camera(left, part, vehicle, findings),
-    )
+    rectified = rectified or (is_rectified(left) and is_rectified(right))
+    baseline = baseline_m((left, right), topics, part, vehicle)
+    # TF knows the axes of the raw camera
+    turn = np.eye(3) if rectified else left.rectification.T
+    mount = vehicle_from_camera(topics[0].frame_id, turn, part, vehicle, findings)
+    try:
+        shifted = right.projection.copy()
+        shifted[0, 3] = left.projection[0, 3] - left.projection[0, 0] * baseline
+        pair = of_camera_infos(left, CameraInfo(right.camera, right.rectification, shifted))
+        rectifier = Rectifier(pair, mount)
+    except StereoError as error:
+        raise InputError(f"{part.left.info} and {part.right.info}: {error}") from error
+    return rectifier.rig, None if rectified else rectifier
 
 
 def _info(index: LogIndex, side: str, name: str | None) -> Topic:
@@ -140,7 +98,10 @@ def _info(index: LogIndex, side: str, name: str | None) -> Topic:
 
 
 def baseline_m(
-    left: CameraModel, right: CameraModel, part: CameraPart, vehicle: VehicleFrame
+    sides: tuple[CameraInfo, CameraInfo],
+    topics: list[Topic],
+    part: CameraPart,
+    vehicle: VehicleFrame,
 ) -> float:
     """From the mapping, from the projections (P[0, 3] = -f b), or from TF between the cameras.
 
@@ -149,10 +110,10 @@ def baseline_m(
     """
     if part.baseline_m is not None:
         return part.baseline_m
-    focal = float(left.projection[0, 0])
-    baseline = float(left.projection[0, 3] - right.projection[0, 3]) / focal
+    left, right = (side.projection for side in sides)
+    baseline = float((left[0, 3] - right[0, 3]) / left[0, 0])
     if baseline == 0.0:
-        way = vehicle.tree.fixed(left.frame_id, right.frame_id)
+        way = vehicle.tree.fixed(topics[0].frame_id, topics[1].frame_id)
         baseline = float(way[0, 3]) if way is not None else 0.0
     if baseline < 0.0:
         raise InputError(
@@ -161,22 +122,34 @@ def baseline_m(
         )
     if baseline == 0.0:
         raise InputError(
-            f"{part.right.info}: neither P[0,3] nor TF tells the baseline; set camera.baseline_m "
+            f"{topics[1].name}: neither P[0,3] nor TF tells the baseline; set camera.baseline_m "
             "in a mapping"
         )
     return baseline
 
 
 def vehicle_from_camera(
-    left: CameraModel, part: CameraPart, vehicle: VehicleFrame, findings: list[Finding]
+    frame_id: str,
+    turn: Floats,
+    part: CameraPart,
+    vehicle: VehicleFrame,
+    findings: list[Finding],
 ) -> Mounting:
-    """The mounting of the left camera; an assumed one is an error among the findings."""
+    """The mounting of the rectified left camera; an assumed one is an error among the findings.
+
+    Args:
+        frame_id: of the left camera.
+        turn: `(3, 3)` axes of `frame_id` from rectified axes.
+        part: what the mapping says.
+        vehicle: the car's frame.
+        findings: to be added to.
+    """
     given = part.vehicle_from_camera
     if given is not None:
         return Mounting(
             given.x_m, given.y_m, given.z_m, given.roll_rad, given.pitch_rad, given.yaw_rad
         )
-    way = vehicle.vehicle_from(left.frame_id)
+    way = vehicle.vehicle_from(frame_id)
     if way is None:
         findings.append(
             Finding(
@@ -184,15 +157,15 @@ def vehicle_from_camera(
                 "error",
                 part.left.image,
                 f"no fixed TF leads from the car ({vehicle.base or 'no such frame'}) to "
-                f"'{left.frame_id}'",
+                f"'{frame_id}'",
                 "the camera's place in the car",
-                "set camera.vehicle_from_camera in a mapping (--topics); taken for now: 1.5 m "
-                "above the rear axle, looking ahead",
+                "set camera.vehicle_from_camera in a mapping (--topics); taken for now: "
+                f"{_ASSUMED_HEIGHT_M} m above the rear axle, looking ahead",
             )
         )
         return Mounting(z_m=_ASSUMED_HEIGHT_M)
     rotation = way[:3, :3]
-    # optical frames look along z; a frame of the camera's body has x ahead and z up
-    if abs(rotation[2, 2]) > 0.7 and abs(rotation[2, 1]) < 0.7:
-        rotation = rotation @ VEHICLE_FROM_CAMERA_AXES
-    return mounting(rotation, way[:3, 3])
+    # an optical frame looks along z; z of a camera's body points up
+    if abs(rotation[2, 2]) > 0.7:
+        rotation = rotation @ _BODY_FROM_OPTICAL
+    return Mounting.from_rotation(rotation @ turn, way[:3, 3])

@@ -14,8 +14,9 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic, utm_frame
+from polemap.drivelog.images import RectifiedPairs
 from polemap.drivelog.readers.bags import mapping as m
-from polemap.drivelog.readers.bags.camera import stereo_rig
+from polemap.drivelog.readers.bags.camera import stereo_camera
 from polemap.drivelog.readers.bags.clocks import compare_clocks, seconds
 from polemap.drivelog.readers.bags.files import is_log, open_containers
 from polemap.drivelog.readers.bags.frames import log_pictures, pair_pictures
@@ -29,7 +30,6 @@ from polemap.drivelog.readers.bags.signals import (
 )
 from polemap.drivelog.readers.bags.vehicle_frame import vehicle_frame
 from polemap.parsing.errors import named
-from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ class _Build:
         index = self._index
         left, right = (index.topics[side.image] for side in (part.left, part.right))
         try:
-            rig: StereoRig = stereo_rig(index, part, self._vehicle, self._findings)
+            rig, rectifier = stereo_camera(index, part, self._vehicle, self._findings)
         except InputError as error:
             self._findings.append(
                 Finding(
@@ -169,13 +169,14 @@ class _Build:
                 f"{1000 * tolerance_s:.1f} ms; camera.pair_tolerance_s of a mapping changes that"
             )
         stamps = seconds(pairs.stamp_ns), seconds(pairs.arrival_ns)
-        size = rig.width_px, rig.height_px
+        size = rectifier.raw_size_px if rectifier else (rig.width_px, rig.height_px)
+        images = log_pictures(index, left, right, pairs, size)
         return {
             "rig": rig,
             "frame_stamps_s": stamps[0],
             "frame_arrivals_s": stamps[1] if self._clock.usable else stamps[0],
             "frame_numbers": pairs.rows[:, 0],
-            "images": log_pictures(index, left, right, pairs, size),
+            "images": RectifiedPairs(images, rectifier) if rectifier else images,
         }
 
     def _frame(self) -> EarthFrame:
