@@ -24,10 +24,13 @@ _LARGEST = np.array([1e20, 1e9, 1e9, 1e9, 1e3, 1e3, 1e3, 1e3])
 _UNIT_TOLERANCE = 0.1
 
 
-def read_tum(path: Path) -> Trajectory:
+def read_tum(path: Path, *, allow_empty: bool = False) -> Trajectory:
     """Read planar poses; `#` starts a comment.
 
     Lines that repeat a stamp or go back in time are dropped: other systems publish such.
+
+    Args:
+        allow_empty: accept a file without poses.
 
     Raises:
         InputError: the file is missing, has no pose, a line has not eight numbers, or a value is
@@ -44,6 +47,8 @@ def read_tum(path: Path) -> Trajectory:
     except (ValueError, OverflowError, OSError, UnicodeDecodeError):
         raise InputError(_broken_line(path)) from None
     if table.size == 0:
+        if allow_empty:
+            return Trajectory(np.empty(0), np.empty((0, 3)))
         raise InputError(f"{path}: holds no pose; a TUM line is '{' '.join(TUM_COLUMNS)}'")
     if table.shape[1] != len(TUM_COLUMNS):
         raise InputError(_broken_line(path))

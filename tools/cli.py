@@ -29,6 +29,7 @@ VERBS = {
     "train": ("train", "Train the pole classifier on drives with a known pole map."),
     "map": ("map", "Build, update or compare pole maps."),
     "localize": ("localize", "Replay a drive against a map."),
+    "view": ("view", "Show a run in a viewer, or write the recording that viewers open."),
     "report": ("report.command", "Report repeatability and accuracy of runs."),
     "estimate": ("estimate", "Run a side-slip or velocity estimator on a signal log."),
     "study": ("study", "Rerun a source paper's simulation beside its claims."),

@@ -31,6 +31,8 @@ CONVERSIONS: dict[tuple[Source, str], str] = {
         ("drive", form): "polemap.tools.convert_run:reference_to_trajectory"
         for form in TRAJECTORIES
     },
+    ("run", "mcap"): "polemap.tools.convert_run:to_recording",
+    ("run", "rrd"): "polemap.tools.convert_run:to_recording",
     **{("run", form): "polemap.tools.convert_run:to_trajectory" for form in TRAJECTORIES},
 }
 """What goes in and what comes out, to `module:function`, which takes a `Request`."""
@@ -111,9 +113,11 @@ def command(
         polemap convert drives/monday --out reference.tum
         polemap convert runs/lap_2 --out lap_2.gpx
         polemap convert runs/lap_2 --out lap_2_pf.kitti --trajectory pf
+        polemap convert runs/lap_2 --drive drives/monday --out lap_2.mcap
 
     A drive becomes a plain drive folder, a KITTI odometry folder or an MCAP file of ROS 2 messages;
-    the poses of a run, or the reference of a drive, become .tum, .kitti, .csv, .gpx or .geojson.
+    the poses of a run, or the reference of a drive, become .tum, .kitti, .csv, .gpx or .geojson;
+    a run becomes a recording for Foxglove (.mcap) or rerun (.rrd), see polemap view.
     What the new form has no place for is named. docs/viewers.md lists what reads what.
     """
     request = Request(tuple(inputs), out, seed, trajectory, run, map_file, drive)

@@ -1,4 +1,4 @@
-"""Runs as trajectories for other programs; see `tools/convert.py`."""
+"""Runs as trajectories and recordings for other programs; see `tools/convert.py`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.writers.trajectory import check_trajectory_file, write_trajectory
 from polemap.tools.convert import Request
 from polemap.tools.recording.opened import open_run
+from polemap.tools.recording.record import record_run
 from polemap.vehicle.trajectory import Trajectory
 
 
@@ -26,6 +27,14 @@ def to_trajectory(request: Request) -> list[str]:
     return [f"note: {note}" for note in notes] + [
         f"{len(trajectory)} poses of {which} written to {request.out}"
     ]
+
+
+def to_recording(request: Request) -> list[str]:
+    """A run as .mcap for Foxglove or .rrd for rerun."""
+    inputs = (*request.inputs, request.map_file, request.drive)
+    return record_run(
+        request.input, request.out, request.drive, request.map_file, request.run, None, inputs
+    )
 
 
 def reference_to_trajectory(request: Request) -> list[str]:

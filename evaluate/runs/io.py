@@ -121,8 +121,11 @@ class RunSet:
         return next((place for place in above if os.path.exists(place)), path)
 
 
-def read_run_set(path: Path) -> RunSet:
+def read_run_set(path: Path, *, allow_without_poles: bool = False) -> RunSet:
     """Read a run folder, or a folder of runs 000, 001, ... .
+
+    Args:
+        allow_without_poles: accept runs without a particle filter, whose pf.tum is empty.
 
     Raises:
         InputError: neither of them, or one of its files is missing or damaged.
@@ -143,21 +146,23 @@ def read_run_set(path: Path) -> RunSet:
         folders = [path]
     configs = [_read_config(folder / "config.yaml") for folder in folders]
     runs = [
-        _read_run(folder, config, number)
+        _read_run(folder, config, number, allow_without_poles)
         for number, (folder, config) in enumerate(zip(folders, configs, strict=True))
     ]
     notes = _differences(path, configs)
     return RunSet(path, configs[0], tuple(runs), notes)
 
 
-def _read_run(folder: Path, config: Mapping[str, Any], number: int) -> Run:
+def _read_run(
+    folder: Path, config: Mapping[str, Any], number: int, allow_without_poles: bool
+) -> Run:
     seed = config.get("seed", number)
     if not isinstance(seed, int):
         raise InputError(f"{folder / 'config.yaml'}: seed = {seed!r} is not a whole number")
     timing = folder / "timing.csv"
     return Run(
         seed=seed,
-        pf=read_tum(folder / "pf.tum"),
+        pf=read_tum(folder / "pf.tum", allow_empty=allow_without_poles),
         kf=read_tum(folder / "kf.tum"),
         health=_read_table(folder / "health.csv"),
         timings={

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ class OpenedRun:
     Attributes:
         drive: only where it was asked for; its lap where the run is one of a lap.
         notes: what is missing, and how to give it.
+        config: content of config.yaml.
     """
 
     name: str
@@ -44,6 +46,8 @@ class OpenedRun:
     pole_map: PoleMap | None
     drive: Drive | None
     notes: tuple[str, ...]
+    config: Mapping[str, Any]
+    lap: str | None
 
     def trajectory(self, which: str) -> tuple[Trajectory, Columns]:
         """`kf`, the 100 Hz output, or `pf`, the particle filter, and what is known of each pose."""
@@ -65,7 +69,7 @@ def open_run(
         InputError: the folder, its map or its drive cannot be read, or its frame is not known.
         ConfigError: it has no run of that number.
     """
-    runs = read_run_set(path)
+    runs = read_run_set(path, allow_without_poles=True)
     if not 0 <= number < len(runs.runs):
         raise ConfigError(f"{path}: has runs 0 to {len(runs.runs) - 1}; there is no run {number}")
     opened = None
@@ -81,7 +85,8 @@ def open_run(
             "or --drive DRIVE"
         )
     name = runs.name if len(runs.runs) == 1 else f"{runs.name}/{number:03d}"
-    return OpenedRun(name, runs.runs[number], frame, pole_map, opened, notes)
+    chosen = runs.runs[number]
+    return OpenedRun(name, chosen, frame, pole_map, opened, notes, runs.config, runs.lap)
 
 
 def _frame_of(runs: RunSet) -> EarthFrame | None:

@@ -100,8 +100,8 @@ foxglove_msgs/Color background_color""",
 foxglove_msgs/PointsAnnotation[] points
 foxglove_msgs/TextAnnotation[] texts""",
 }  # fmt: skip
-# poles that a detector reports at one moment, in the frame of the header (the vehicle's)
 _POLEMAP = {
+    # poles that a detector reports at one moment, in the frame of the header (the vehicle's)
     "Pole": """float64 x_m
 float64 y_m
 float64 var_x_m2
@@ -110,6 +110,14 @@ float64 cov_xy_m2
 float64 width_m
 float64 probability""",
     "PoleScan": "std_msgs/Header header\npolemap_msgs/Pole[] poles",
+    # what a particle filter's pose rests on; healthy is 0 or 1, NaN what is not known
+    "Health": """std_msgs/Header header
+float64 matched
+float64 seen
+float64 in_view
+float64 n_eff
+float64 position_sd_major_m
+float64 healthy""",
 }
 
 
