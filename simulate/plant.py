@@ -94,7 +94,6 @@ class PlantState:
     ay_mps2: float = 0.0
     load_ax_mps2: float = 0.0
     load_ay_mps2: float = 0.0
-    driving_force_n: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def sideslip_rad(self) -> float:
         """Angle from the body's x axis to its velocity; 0 below walking pace."""
@@ -178,7 +177,7 @@ class Plant:
             for now, want in zip(s.torque_nm, command.torque_nm, strict=True)
         )
         force_x = force_y = moment = 0.0
-        wheels, driving = [], []
+        wheels: list[float] = []
         loads = self.wheel_loads_n(s.load_ax_mps2, s.load_ay_mps2)
         standing = self.wheel_loads_n(0.0, 0.0)
         pose = (s.east_m, s.north_m, s.yaw_rad)
@@ -202,7 +201,6 @@ class Plant:
             force_x += body_x
             force_y += body_y
             moment += x * body_y - y * body_x
-            driving.append(along)
             rolling = copysign(p.rolling_coefficient * loads[i] * p.wheel_radius_m, rim)
             spin_up = torque[i] - along * p.wheel_radius_m - (rolling if abs(rim) > 0.05 else 0.0)
             wheels.append(s.wheel_radps[i] + dt * spin_up / p.wheel_inertia_kgm2)
@@ -228,7 +226,6 @@ class Plant:
             ay_mps2=ay,
             load_ax_mps2=_lag(s.load_ax_mps2, ax, p.load_lag_s, dt),
             load_ay_mps2=_lag(s.load_ay_mps2, ay, p.load_lag_s, dt),
-            driving_force_n=(driving[0], driving[1], driving[2], driving[3]),
         )
 
 

@@ -126,7 +126,7 @@ def arc_displacement(
 def ctrv_step(
     pose: Pose, speed_mps: float, yaw_rate_radps: float, dt_s: float, slip_rad_per_mps2: float = 0.0
 ) -> Pose:
-    """A pose at constant speed and yaw rate (`motion.ctrv_step`), the yaw wrapped."""
+    """A pose at constant speed and yaw rate , the yaw wrapped."""
     x, y, yaw = pose
     turn = yaw_rate_radps * dt_s
     slip = -slip_rad_per_mps2 * speed_mps * yaw_rate_radps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from math import isfinite, sqrt
+from math import isfinite
 
 from polemap.vehicle.errors import VehicleError
 
@@ -67,18 +67,6 @@ class Car:
         return self.cg_to_front_m + self.cg_to_rear_m
 
     @property
-    def critical_speed_mps(self) -> float:
-        """Speed above which an oversteering car is unstable; infinite for the others.
-
-        Source: root of det A, A the matrix of `single_track.lateral`.
-        """
-        k1 = self._moment_difference
-        if k1 <= 0.0:
-            return float("inf")
-        product = 2.0 * self.front_stiffness_nprad * 2.0 * self.rear_stiffness_nprad
-        return sqrt(product * self.wheelbase_m**2 / (self.mass_kg * k1))
-
-    @property
     def front_slip_rad_per_mps2(self) -> float:
         """Slip angle of the front tyres per lateral acceleration: m lr / (2 Cf l).
 
@@ -105,13 +93,6 @@ class Car:
         front, rear = 2 * self.front_stiffness_nprad, 2 * self.rear_stiffness_nprad
         moment = self.cg_to_rear_m * rear - self.cg_to_front_m * front
         return self.mass_kg * moment / (front * rear * self.wheelbase_m)
-
-    @property
-    def _moment_difference(self) -> float:
-        return 2.0 * (
-            self.front_stiffness_nprad * self.cg_to_front_m
-            - self.rear_stiffness_nprad * self.cg_to_rear_m
-        )
 
     def scaled(self, *, stiffness: float = 1.0, mass: float = 1.0) -> Car:
         """The same car with all tyres `stiffness` times as stiff and `mass` times as heavy.

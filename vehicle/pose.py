@@ -152,19 +152,6 @@ def reference_point_jacobian(
     return jacobian
 
 
-def compose_covariance(
-    map_from_a: ArrayLike, covariance_a: ArrayLike, a_from_b: ArrayLike, covariance_b: ArrayLike
-) -> Floats:
-    """Covariance `(..., 3, 3)` of `compose` of two poses whose errors are independent.
-
-    `A Pa A' + B Pb B'`, Pa in the axes of the map, Pb in those of a; the result in the map's.
-    """
-    a, b = np.asarray(map_from_a, dtype=np.float64), np.asarray(a_from_b, dtype=np.float64)
-    by_a = reference_point_jacobian(a[..., 2], b[..., 0], b[..., 1])
-    own = by_a @ np.asarray(covariance_a, dtype=np.float64) @ np.swapaxes(by_a, -1, -2)
-    return np.asarray(own + rotate_covariance(covariance_b, a[..., 2]))
-
-
 def rigid_fit(
     points_vehicle_m: ArrayLike, points_map_m: ArrayLike, weights: ArrayLike | None = None
 ) -> Floats:

@@ -113,23 +113,16 @@ def disturbed_course(car: Car, speed_mps: float, time_constant_s: float) -> tupl
     return a, b
 
 
-def planar_velocity(yaw_rate_radps: float) -> tuple[Floats, Floats]:
-    """A `(2, 2)`, B `(2, 2)` of `[vx, vy]` driven by `[ax, ay]`.
-
-    vx' = ax + gamma vy, vy' = ay - gamma vx.
-
-    Source: N13 (7)-(10).
-    """
-    return np.array([[0.0, yaw_rate_radps], [-yaw_rate_radps, 0.0]]), np.eye(2)
-
-
 def planar_velocity_step(
     yaw_rate_radps: float, period_s: float
 ) -> tuple[float, float, float, float]:
-    """`planar_velocity` over a step: `(c, s, ch, sh)` of v+ = [[c, s], [-s, c]] v + push a.
+    """`[vx, vy]` driven by `[ax, ay]`: `(c, s, ch, sh)` of v+ = [[c, s], [-s, c]] v + push a.
 
-    The accelerations a are held and taken at half of the turn: push = [[ch, sh], [-sh, ch]].
-    Plain floats, because the estimators step a thousand times a second.
+    vx' = ax + gamma vy, vy' = ay - gamma vx over a step. The accelerations a are held and taken at
+    half of the turn: push = [[ch, sh], [-sh, ch]]. Plain floats, because the estimators step a
+    thousand times a second.
+
+    Source: N13 (7)-(10).
     """
     turn = yaw_rate_radps * period_s
     half = 0.5 * turn
@@ -140,17 +133,6 @@ def lateral_acceleration_rows(car: Car, speed_mps: float) -> tuple[Floats, Float
     """Rows C `(2,)`, D `(2,)` of ay = V (beta' + gamma) in `[beta, gamma]` and `[delta, Nz]`."""
     a, b = lateral(car, speed_mps)
     return speed_mps * (a[0] + (0.0, 1.0)), speed_mps * b[0]
-
-
-def observability_rank(a: Floats, c: Floats) -> int:
-    """Rank of `[C; CA; ...; CA^(n-1)]`, rows scaled so that units do not decide."""
-    rows = [np.asarray(c, dtype=np.float64)]
-    for _ in range(len(a) - 1):
-        rows.append(rows[-1] @ a)
-    stacked = np.vstack(rows)
-    norms = np.linalg.norm(stacked, axis=1, keepdims=True)
-    stacked = stacked / np.where(norms > 0.0, norms, 1.0)
-    return int(np.linalg.matrix_rank(stacked, tol=1e-9))
 
 
 class Schedule:

@@ -5,8 +5,8 @@
 A FOLDER is a KITTI 2015 or 2012 `training` folder (or the one above it), a KITTI raw folder with
 LiDAR depth in `depth/`, or one with Middlebury scenes (teddy, cones: `*02.png`, `*06.png` and
 `disp*02.png`); without one the rendered poles are scored. OpenCV's variants stand beside the
-census matcher. `--calibrate` prints the tables of stereo/error_model.py and the laws of
-stereo/trust.py. `python -m benchmarks.stereo.curves` trades density against error.
+census matcher. `--calibrate` prints the laws of stereo/trust.py. `python -m
+benchmarks.stereo.curves` trades density against error.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from benchmarks.stereo.pairs import Pair, read_pairs
 from benchmarks.stereo.scenes import PoleScore, rendered_scene, score_poles
 from benchmarks.stereo.variants import Variant, variants
 from polemap.stereo.config import StereoConfig
-from polemap.stereo.error_model import OUTLIER_PX, DisparityErrorModel, texture
 from polemap.stereo.matching import StereoMatcher, make_matcher
 from polemap.stereo.trust import TrustLaw
 
@@ -59,29 +58,6 @@ def score(matcher: StereoMatcher, pairs: list[Pair]) -> dict[str, float]:
         maps.append(matcher.match(pair.left, pair.right).left)
         times.append(1e3 * (time.perf_counter() - start))
     return {**rate(pairs, maps), "median_ms": float(np.median(times))}
-
-
-def calibrate(matcher: StereoMatcher, pairs: list[Pair]) -> DisparityErrorModel:
-    """The table of the error model from the pairs, on the grids of the model in use."""
-    model = DisparityErrorModel()
-    greys, margins, errors = [], [], []
-    for pair in pairs:
-        maps = matcher.match(pair.left, pair.right)
-        found = np.isfinite(pair.truth) & np.isfinite(maps.left)
-        greys.append(texture(pair.left)[found])
-        assert maps.left_margin is not None
-        margins.append(maps.left_margin[found])
-        errors.append(np.abs(maps.left - pair.truth)[found])
-    grey, margin, error = (np.concatenate(values) for values in (greys, margins, errors))
-    rows = np.digitize(grey, np.sqrt(model.texture_grid[1:] * model.texture_grid[:-1]))
-    columns = np.digitize(margin, (model.margin_grid[1:] + model.margin_grid[:-1]) / 2)
-    sd = model.sd_px_table.copy()
-    for i in range(sd.shape[0]):
-        for j in range(sd.shape[1]):
-            cell = error[(rows == i) & (columns == j)]
-            if len(cell) > 200:
-                sd[i, j] = np.sqrt(np.mean(cell[cell < OUTLIER_PX] ** 2))
-    return DisparityErrorModel(model.texture_grid, model.margin_grid, sd)
 
 
 def trust_laws(pairs: list[Pair]) -> dict[str, TrustLaw]:
@@ -149,7 +125,6 @@ def main() -> None:
         if not pairs:
             raise SystemExit(f"{folder}: neither KITTI nor Middlebury pairs with ground truth")
         if options.calibrate:
-            print(calibrate(make_matcher(StereoConfig()), pairs).sd_px_table)
             print(*trust_laws(pairs).items(), sep="\n")
             continue
         for name, variant in variants().items():

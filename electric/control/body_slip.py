@@ -21,7 +21,6 @@ class PiGains:
 
     proportional_nm_per_rad: float
     integral_nm_per_rads: float
-    third_pole_radps: float
 
 
 def feed_forward_gain(a: Floats, b: Floats) -> float:
@@ -54,7 +53,7 @@ def place_pi(a: Floats, b: Floats, pole_radps: float) -> PiGains:
         )
     kp = (pole_radps**2 + 2.0 * pole_radps * third - a0) / n0
     ki = pole_radps**2 * third / n0
-    return PiGains(kp, ki, third)
+    return PiGains(kp, ki)
 
 
 class BodySlipController:

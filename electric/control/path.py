@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, sqrt
+from math import atan2
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,11 +139,3 @@ def stanley_steer(
     steer -= settings.yaw_damping_s * (yaw_rate_radps - speed_mps * error.curvature_radpm)
     limit = settings.steer_limit_rad
     return max(-limit, min(limit, steer)), error
-
-
-def speed_on_path(path: Path, station_m: float, limit_mps: float, lateral_mps2: float) -> float:
-    """Speed that keeps the lateral acceleration below a limit over the next 15 m."""
-    ahead = station_m + np.linspace(0.0, 15.0, 7)
-    where = np.mod(ahead, path.length_m) if path.closed else np.minimum(ahead, path.length_m)
-    curvature = float(np.abs(path.curvature_radpm(where)).max())
-    return min(limit_mps, sqrt(lateral_mps2 / max(curvature, 1e-6)))

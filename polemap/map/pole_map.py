@@ -116,21 +116,6 @@ class PoleMap:
         centre = np.asarray(centre_m, dtype=np.float64).reshape(2)
         return np.array(tree.query_ball_point(centre, radius_m, return_sorted=True), np.int64)
 
-    def within_each(self, centres_m: ArrayLike, radius_m: float) -> tuple[Rows, Rows]:
-        """Pairs (centre, pole row) of all poles within `radius_m` of any centre `(m, 2)`.
-
-        Returns:
-            Two arrays `(k,)`, sorted by centre and then by row.
-        """
-        centres = np.asarray(centres_m, dtype=np.float64).reshape(-1, 2)
-        tree = self.tree
-        if tree is None or not len(centres):
-            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-        found: Any = tree.query_ball_point(centres, radius_m, return_sorted=True)
-        count = np.array([len(rows) for rows in found])
-        rows = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in found])
-        return np.repeat(np.arange(len(centres)), count), rows
-
     def nearest(self, points_m: ArrayLike, limit_m: float = np.inf) -> tuple[Floats, Rows]:
         """Distance and row of the nearest pole of each point `(m, 2)`.
 

@@ -48,7 +48,6 @@ class LateralRun:
     stamp_s: Floats
     sideslip_rad: Floats
     yaw_rate_radps: Floats
-    estimate_rad: Floats
     sideslip_reference_rad: Floats
     yaw_rate_reference_radps: Floats
     steer_rad: Floats
@@ -100,7 +99,6 @@ def run_lateral(
     feed = SensorFeed(parameters, sensors or SensorModel(), rng, estimator, late)
     state = plant.rolling(speed_mps)
     command, due = Command(0.0, 0.0), 0.0
-    seen: Estimate | None = None
     rows: list[tuple[float, ...]] = []
     for _ in range(round(duration_s / plant.step_s)):
         measured = feed.step(state)
@@ -129,7 +127,6 @@ def run_lateral(
                 now.time_s,
                 now.sideslip_rad(),
                 now.yaw_rate_radps,
-                seen.value("sideslip_rad") if seen is not None else np.nan,
                 command.sideslip_reference_rad,
                 command.yaw_rate_reference_radps,
                 now.steer_rad,
@@ -139,7 +136,7 @@ def run_lateral(
             )
         )
     c = np.array(rows).T
-    return LateralRun(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8] > 0.5, c[9])
+    return LateralRun(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] > 0.5, c[8])
 
 
 _TRUE_FIELDS = ("sideslip_rad", "yaw_rate_radps")

@@ -24,12 +24,11 @@ SLOW_S, FAST_S = 0.033, 0.001
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Of one loop; the frequencies are those of the phase (for the gain) and gain crossover."""
+    """Of one loop; `gain_hz` is the frequency of the phase crossover."""
 
     gain_db: float
     phase_deg: float
     gain_hz: float
-    phase_hz: float
 
 
 def loop_margins(
@@ -60,20 +59,17 @@ def loop_margins(
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about the accuracy of polynomial roots: tests check it
-        gain, phase, at_phase, at_gain = control.margin(pi_law * control.ss2tf(plant))
+        gain, phase, at_phase, _ = control.margin(pi_law * control.ss2tf(plant))
     return Margins(
         20.0 * log10(gain) if np.isfinite(gain) else inf,
         float(phase),
         float(at_phase) / (2.0 * pi),
-        float(at_gain) / (2.0 * pi),
     )
 
 
 def scaled(gains: PiGains, factor: float) -> PiGains:
     """The controller with all its gain times a factor."""
-    return PiGains(
-        factor * gains.proportional_nm_per_rad, factor * gains.integral_nm_per_rads, float("nan")
-    )
+    return PiGains(factor * gains.proportional_nm_per_rad, factor * gains.integral_nm_per_rads)
 
 
 def gains_for_margin(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix, OdometrySample
-from polemap.electric.control.path import PathError, StanleySettings, stanley_steer
+from polemap.electric.control.path import StanleySettings, stanley_steer
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.particle_filter.estimate import PfEstimate
@@ -58,14 +58,13 @@ class FollowScenario:
 class FollowRun:
     """A drive at 100 Hz; arrays `(n,)`, lateral errors of the front axle, left positive.
 
-    `believed_m` is the error as the controller saw it. `engaged_s` is when the car was handed over,
+    `engaged_s` is when the car was handed over,
     nan if never; `driver_share` the share of the time since in which the localizer was not sure
     and the driver steered.
     """
 
     stamp_s: Floats
     lateral_m: Floats
-    believed_m: Floats
     steer_rad: Floats
     engaged_s: float
     driver_share: float
@@ -175,7 +174,7 @@ class _Drive:
 
     def run(self) -> FollowRun:
         state = self._start()
-        rows: list[tuple[float, float, float, float]] = []
+        rows: list[tuple[float, float, float]] = []
         engaged, near, steer, left, taken_back = float("nan"), 0.0, 0.0, False, 0
         ticks = {"odometry": 0.0, "gnss": 0.05, "scan": 0.5, "steer": 0.0}
         for k in range(round(self._scenario.duration_s / self._plant.step_s)):
@@ -192,19 +191,19 @@ class _Drive:
                     break
                 used = believed if engaged == engaged and believed is not None else rear
                 taken_back += engaged == engaged and believed is None
-                steer, error = self._steer(used, state, near, by_truth=used is rear)
+                steer = self._steer(used, state, near, by_truth=used is rear)
                 true = self._road.path.locate(*self._front(rear), rear.yaw_rad, near)
                 near = true.station_m
-                rows.append((now, true.lateral_m, error.lateral_m, steer))
+                rows.append((now, true.lateral_m, steer))
                 if abs(true.lateral_m) > LEFT_THE_ROAD_M:
                     left = True
                     break
             push = 1.0 * self._parameters.mass_kg * (self._scenario.speed_mps - self._speed)
             torque = push * self._parameters.wheel_radius_m / 4.0
             state = self._plant.step(state, PlantInput(steer, (torque, torque, torque, torque)))
-        stamps, lateral, seen, steering = np.array(rows).T
+        stamps, lateral, steering = np.array(rows).T
         share = taken_back / max(1, int((stamps >= engaged).sum()))
-        return FollowRun(stamps, lateral, seen, steering, engaged, share, left)
+        return FollowRun(stamps, lateral, steering, engaged, share, left)
 
     def _start(self) -> PlantState:
         start = Pose2D(*self._road.start.tolist())
@@ -269,12 +268,11 @@ class _Drive:
             return None
         return Pose2D(*pose.pose)
 
-    def _steer(
-        self, pose: Pose2D, state: PlantState, near: float, *, by_truth: bool
-    ) -> tuple[float, PathError]:
+    def _steer(self, pose: Pose2D, state: PlantState, near: float, *, by_truth: bool) -> float:
         speed, rate = self._speed, self._yaw_rate
         if by_truth or self._scenario.source == "truth":
             speed, rate = state.vx_mps, state.yaw_rate_radps
-        return stanley_steer(
+        steer, _ = stanley_steer(
             self._road.path, pose, speed, rate, self._car.wheelbase_m, self._settings, near
         )
+        return steer

@@ -44,7 +44,6 @@ class SlipRun:
     slip: Floats
     torque_nm: Floats
     speed_mps: Floats
-    rim_mps: Floats
     used_speed_mps: Floats
     on_sheet: NDArray[np.bool_]
 
@@ -117,15 +116,14 @@ def run_sheet(
                 state.slip_ratio(REAR_LEFT, parameters.wheel_radius_m),
                 state.torque_nm[REAR_LEFT],
                 state.vx_mps,
-                parameters.wheel_radius_m * state.wheel_radps[REAR_LEFT],
                 used,
                 float(0.0 <= rear < scene.length_m),
             )
         )
         if rear > scene.length_m + 0.3:
             break
-    t, slip, torque, speed, rim, used, there = np.array(rows).T
-    return SlipRun(t, slip, torque, speed, rim, used, there > 0.5)
+    t, slip, torque, speed, used, there = np.array(rows).T
+    return SlipRun(t, slip, torque, speed, used, there > 0.5)
 
 
 def biased(share: float) -> Velocity:

@@ -101,9 +101,3 @@ def scattered_poles(poses: Floats, per_m2: float, rng: np.random.Generator) -> P
     points = rng.uniform(low, high, (int(np.prod(high - low) * per_m2), 2))
     points = points[KDTree(poses[:, :2]).query(points)[0] > 3.5]
     return Poles(points, rng.uniform(0.1, 0.4, len(points)), np.ones(len(points)))
-
-
-def passing_things(poses: Floats, count: int, rng: np.random.Generator) -> Poles:
-    """What looks like poles and stands near a path `(n, 3)` during one drive only: vans, say."""
-    points = poses[rng.integers(0, len(poses), count), :2] + rng.uniform(-7, 7, (count, 2))
-    return Poles(points, np.full(count, 0.15), np.full(count, 0.7))

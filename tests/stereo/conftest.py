@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from polemap.stereo.config import StereoConfig
-from polemap.stereo.matching import DisparityPair, Image, make_matcher
+from polemap.stereo.matching import DisparityPair, make_matcher
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,6 @@ class Matched:
     `known` is `(h, w)`, `error_px` `(n,)`.
     """
 
-    left: Image
     pair: DisparityPair
     known: NDArray[np.bool_]
     error_px: NDArray[np.float64]
@@ -41,5 +40,5 @@ def held_out_pairs(recording: Callable[[str], Path]) -> list[Matched]:
         truth = cv2.imread(str(folder / "disp_noc_0" / name), cv2.IMREAD_UNCHANGED) / 256
         pair = matcher.match(left, right)
         known = (truth > 0) & np.isfinite(pair.left)
-        found.append(Matched(left, pair, known, np.abs(pair.left[known] - truth[known])))
+        found.append(Matched(pair, known, np.abs(pair.left[known] - truth[known])))
     return found

@@ -6,18 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polemap.vehicle.discretize import van_loan
-from polemap.vehicle.motion import (
-    arc_displacement,
+from polemap.vehicle.motion import arc_displacement, move_along_arc, sinc
+from polemap.vehicle.pose import wrap_angle
+from tests.vehicle.ctrv_arrays import (
     arc_jacobians,
     ctrv_jacobian,
     ctrv_process_noise,
     ctrv_step,
-    move_along_arc,
-    move_point_along_arc,
-    sinc,
     sinc_slope,
 )
-from polemap.vehicle.pose import wrap_angle
 
 turns = st.one_of(st.floats(-3.0, 3.0), st.sampled_from([0.0, 1e-12, -1e-12, 1e-7, 0.0499, 0.0501]))
 yaws = st.floats(-3.1, 3.1)
@@ -62,16 +59,6 @@ def test_going_back_along_the_arc_returns(yaw, distance, turn):
     back = move_along_arc(move_along_arc(start, distance, turn), -distance, -turn)
     assert np.allclose(back[:2], start[:2], atol=1e-10)
     assert wrap_angle(back[2] - yaw) == pytest.approx(0.0, abs=1e-12)
-
-
-@given(yaws, distances, turns, st.floats(0.0, 4.0))
-def test_a_point_ahead_of_the_axle_moves_with_the_car(yaw, distance, turn, ahead):
-    rear = np.array([0.5, 0.7, yaw])
-    ahead_of = np.array([math.cos(yaw), math.sin(yaw)]) * ahead
-    moved_rear = move_along_arc(rear, distance, turn)
-    moved = move_point_along_arc([*(rear[:2] + ahead_of), yaw], distance, turn, ahead)
-    direction = np.array([math.cos(moved_rear[2]), math.sin(moved_rear[2])])
-    assert np.allclose(moved[:2], moved_rear[:2] + ahead * direction, atol=1e-10)
 
 
 def finite_difference(function, at, step=1e-6):

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from polemap.vehicle import motion, packed, pose
 from polemap.vehicle.kalman import innovate, joseph_update
-from polemap.vehicle.motion import ctrv_jacobian, ctrv_process_noise
 from polemap.vehicle.packed import (
     INDEX,
     CtrvNoise,
@@ -19,6 +18,7 @@ from polemap.vehicle.packed import (
     wrap,
 )
 from polemap.vehicle.pose import wrap_angle
+from tests.vehicle.ctrv_arrays import ctrv_jacobian, ctrv_process_noise, ctrv_step
 
 SCALE, OFFSET, FIX = GaussMarkov(0.03, 40.0), GaussMarkov(0.005, 25.0), GaussMarkov(2.5, 6.0)
 NOISE = CtrvNoise(
@@ -103,7 +103,7 @@ def test_prediction_equals_the_array_form(seed, yaw, speed, rate, dt, slip):
     expected = transition @ covariance @ transition.T + added
     scale = max(1.0, np.abs(expected).max())
     assert np.allclose(unpack(upper), expected, rtol=1e-12, atol=1e-12 * scale)
-    stepped = motion.ctrv_step(state, dt, slip)
+    stepped = ctrv_step(state, dt, slip)
     assert np.allclose(moved[:2], stepped[:2], atol=1e-11)
     assert wrap_angle(moved[2] - stepped[2]) == pytest.approx(0, abs=1e-12)
     assert moved[3:5] == mean[3:5]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polemap.electric.control.path import Path, StanleySettings, speed_on_path, stanley_steer
+from polemap.electric.control.path import Path, StanleySettings, stanley_steer
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.motion import move_along_arc
 from polemap.vehicle.pose import Pose2D
@@ -50,12 +50,6 @@ def test_a_kinematic_car_converges_to_a_line_without_oscillating(speed: float) -
 def test_a_kinematic_car_holds_the_circle() -> None:
     errors = _drive(CIRCLE, Pose2D(20.0, 0.0, np.pi / 2), 6.0, 15.0)
     assert np.abs(errors[500:]).max() < 0.1
-
-
-def test_speed_falls_in_bends() -> None:
-    assert speed_on_path(CIRCLE, 3.0, 14.0, 2.0) == pytest.approx((2.0 * 20.0) ** 0.5, rel=0.02)
-    line = Path(np.array([[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]]))
-    assert speed_on_path(line, 10.0, 14.0, 2.0) == 14.0
 
 
 @pytest.mark.parametrize(

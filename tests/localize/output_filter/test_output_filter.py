@@ -16,7 +16,6 @@ from polemap.simulate.points.motion import WhiteAccelerations
 from polemap.simulate.points.pose_source import PoseSource
 from polemap.vehicle.delay import Placement
 from polemap.vehicle.errors import VehicleError
-from polemap.vehicle.motion import ctrv_jacobian, ctrv_process_noise, ctrv_step
 from polemap.vehicle.packed import pack, unpack
 from polemap.vehicle.pose import wrap_angle
 from tests.localize.output_events import (
@@ -27,6 +26,7 @@ from tests.localize.output_events import (
     run,
     started_with_odometry,
 )
+from tests.vehicle.ctrv_arrays import ctrv_jacobian, ctrv_process_noise, ctrv_step
 
 PLAIN = OutputConfig(gate=False, pose_errors="independent")
 NO_FLOOR = NoiseModel(pose_floor_m=0.0, pose_floor_rad=0.0)

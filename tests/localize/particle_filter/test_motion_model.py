@@ -13,7 +13,8 @@ from polemap.localize.particle_filter.motion_model import (
     sample_motion,
     tight_turn_sd,
 )
-from polemap.vehicle.motion import move_point_along_arc
+from polemap.vehicle.motion import move_along_arc
+from polemap.vehicle.pose import move_reference_point
 
 SILENT = LocalizeConfig(
     alpha1_speed_mps=0,
@@ -36,11 +37,10 @@ def test_without_noise_the_front_axle_follows_the_arc() -> None:
     poses = np.array([[3.0, -2.0, 0.4], [100.0, 50.0, -3.0]])
     arcs = [Arc(0.1, 8.0, 0.3, 0.0), Arc(0.05, 7.0, 0.0, 0.0), Arc(0.1, -2.0, -0.4, 0.0)]
     moved = sample_motion(poses, arcs, 2.7, SILENT, np.random.default_rng(0))
-    expected = poses
+    rear = move_reference_point(poses, -2.7)
     for arc in arcs:
-        expected = move_point_along_arc(
-            expected, arc.speed_mps * arc.dt_s, arc.yaw_rate_radps * arc.dt_s, 2.7
-        )
+        rear = move_along_arc(rear, arc.speed_mps * arc.dt_s, arc.yaw_rate_radps * arc.dt_s)
+    expected = move_reference_point(rear, 2.7)
     np.testing.assert_allclose(moved[:, :2], expected[:, :2], atol=1e-12)
     np.testing.assert_allclose(np.cos(moved[:, 2]), np.cos(expected[:, 2]), atol=1e-12)
 

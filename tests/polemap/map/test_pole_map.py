@@ -29,9 +29,6 @@ def test_queries_equal_a_loop(n: int, seed: int, radius: float) -> None:
     expected = [np.flatnonzero(row <= radius) for row in distance]
     for centre, rows in zip(centres, expected, strict=True):
         np.testing.assert_array_equal(pole_map.within(centre, radius), rows)
-    which, rows_of = pole_map.within_each(centres, radius)
-    np.testing.assert_array_equal(which, np.repeat(np.arange(4), [len(r) for r in expected]))
-    np.testing.assert_array_equal(rows_of, np.concatenate(expected))
     near, row = pole_map.nearest(centres, limit_m=20.0)
     for i in range(4):
         if n and distance[i].min() < 20.0:

@@ -23,10 +23,10 @@ from polemap.simulate.points.motion import (
 )
 from polemap.simulate.points.poles import scattered_poles
 from polemap.simulate.points.pose_source import PoseSource
-from polemap.simulate.points.town import town_poles, town_route
 from polemap.simulate.sensors import REFERENCES
 from polemap.simulate.stream_faults import GnssDropout
 from polemap.vehicle.pose import wrap_angle
+from tests.polemap.town import town_poles, town_route
 
 SHORT = PointScenario(duration_s=6.0)
 MOTIONS = [WindingRoad(), CityTraffic(slip=Slip()), WhiteAccelerations(10.0, 1.0, 0.01)]
