@@ -15,16 +15,19 @@ from polemap.electric.estimators.base import (
     Estimator,
 )
 from polemap.electric.estimators.bicycle import BicycleKalman
-from polemap.electric.estimators.clones import CloneKalman
 from polemap.electric.estimators.compensated import CompensatedKalman
 from polemap.electric.estimators.kinematic import KinematicKalman
+from polemap.electric.estimators.late_camera import (
+    CloneKalman,
+    MeasurementReconstructionKalman,
+    ReconstructionKalman,
+    UnevenDelayKalman,
+)
 from polemap.electric.estimators.linear_observer import LinearObserver
-from polemap.electric.estimators.measurement_reconstruction import MeasurementReconstructionKalman
 from polemap.electric.estimators.replay import MultiRateKalman, ReplayKalman
 from polemap.electric.estimators.single_rate import SingleRateKalman
 from polemap.electric.estimators.stiffness import StiffnessKalman
 from polemap.electric.estimators.two_layer import Delay, TwoLayerKalman
-from polemap.electric.estimators.uneven_delay import ReconstructionKalman, UnevenDelayKalman
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.parameters import Car
 
