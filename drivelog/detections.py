@@ -77,9 +77,9 @@ class Detections(Columns):
     track_id: NDArray[np.int64]
     shift_per_px_m: Floats
 
-    def of_kind(self, kind: LandmarkKind) -> Self:
-        """The rows of one kind; the table itself where it holds no other."""
-        mine = self.kind == kind
+    def of_kinds(self, *kinds: int) -> Self:
+        """The rows of some kinds; the table itself where it holds no others."""
+        mine = np.isin(self.kind, kinds)
         return self if mine.all() else self.take(mine)
 
 

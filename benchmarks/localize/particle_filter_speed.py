@@ -94,7 +94,7 @@ def assignment_times(rounds: int = 15) -> dict[str, list[float]]:
     """
     rng = np.random.default_rng(1)
     world = _map(rng)
-    landmarks, model = Landmarks.of(world, 0.7), PoleModel()
+    landmarks, model = Landmarks.of(world, 0.7), PoleModel.of(LocalizeConfig())
     poses = rng.normal(0, [0.2, 0.2, 0.01], (1000, 3))
     scan = _scan(0.0, world, np.zeros(3), rng)
     costs = np.stack([-pair_gains(pose, scan, landmarks, model, _VIEW)[0] for pose in poses])

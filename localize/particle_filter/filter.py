@@ -77,6 +77,7 @@ class ParticleFilter:
         receiver = receiver or GnssReceiver(config=config.gnss)
         self._weigher = PoleWeigher(pole_map, config)
         self._landmarks = Landmarks.of(pole_map, config.p_detection, np.empty(0, dtype=np.int64))
+        self._kinds = np.unique(pole_map.kind).tolist() or [LandmarkKind.POLE]
         self._config = config
         self._rng = rng
         self._history = OdometryHistory(config.odometry.rear_slip_rad_per_mps2)
@@ -158,7 +159,7 @@ class ParticleFilter:
         Returns:
             None while no position is known, and for a scan that is not newer than the last one.
         """
-        scan = scan.of_kind(LandmarkKind.POLE)  # what the map and its sensor model are of
+        scan = scan.of_kinds(*self._kinds)  # of others the map says nothing
         stamp = scan.stamp_s
         if not np.isfinite(stamp) or stamp <= self._stamp_s:
             self.counts["scans_late"] += 1

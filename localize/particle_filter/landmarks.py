@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ class Landmarks:
     """The map poles around the car, as plain arrays.
 
     Attributes:
+        kind: `(m,)` a `LandmarkKind`.
         points_m: `(m, 2)` east, north.
         covariance_m2: `(m, 3)` var east, var north, covariance.
         width_m: `(m,)`, NaN where unknown.
@@ -26,6 +27,7 @@ class Landmarks:
         rows: `(m,)` rows of the map that they come from.
     """
 
+    kind: NDArray[np.int8]
     points_m: Floats
     covariance_m2: Floats
     width_m: Floats
@@ -42,12 +44,17 @@ class Landmarks:
         covariance = pole_map.covariance_m2.reshape(-1, 2, 2)[rows]
         existence = np.clip(pole_map.existence[rows], 0.05, 1.0)
         return cls(
+            pole_map.kind[rows],
             np.ascontiguousarray(pole_map.points_m.reshape(-1, 2)[rows]),
             np.stack([covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]], axis=1),
             np.asarray(pole_map.width_m[rows], dtype=np.float64),
             np.minimum(p_detection * existence, _LARGEST_DETECTION),
             rows,
         )
+
+    def take(self, rows: NDArray[np.bool_]) -> Landmarks:
+        """Those of a mask `(m,)`."""
+        return Landmarks(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def __len__(self) -> int:
         return len(self.rows)

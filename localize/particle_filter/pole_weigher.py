@@ -16,6 +16,7 @@ from polemap.localize.particle_filter.particles import effective_count, normaliz
 from polemap.localize.particle_filter.sensor_model import (
     PoleModel,
     PoseLikelihoods,
+    joint_likelihoods,
     pole_log_likelihood,
 )
 from polemap.map.pole_map import PoleMap
@@ -60,12 +61,7 @@ class PoleWeigher:
     def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
         self._map = pole_map
         self._p_detection = config.p_detection
-        self._model = PoleModel(
-            beta_p=config.beta_p,
-            width_sd_m=config.poles.width_sd_m,
-            clutter_per_m2=config.clutter_per_m2,
-            position_floor_m=config.poles.position_floor_m,
-        )
+        self._model = PoleModel.of(config)
         self._view = default_view(config.poles)
         self._threads = config.threads
 
@@ -89,12 +85,29 @@ class PoleWeigher:
     ) -> PoseLikelihoods:
         """Likelihood of the scan for every rear-axle pose `(n, 3)`.
 
+        Landmarks of different kinds are never matched, so each kind is a problem of its own.
+
         Source: Spangenberg (2016), equations (7) and (8).
         """
+        landmarks = self.near(rear_poses, scan) if landmarks is None else landmarks
+        kinds = np.union1d(scan.kind, landmarks.kind)
+        if len(kinds) < 2:
+            return self._weigh_kind(rear_poses, scan, landmarks)
+        parts = [
+            self._weigh_kind(
+                rear_poses, scan.of_kinds(kind), landmarks.take(landmarks.kind == kind)
+            )
+            for kind in kinds.tolist()
+        ]
+        return joint_likelihoods(parts)
+
+    def _weigh_kind(
+        self, rear_poses: Floats, scan: Detections, landmarks: Landmarks
+    ) -> PoseLikelihoods:
         return pole_log_likelihood(
             rear_poses,
             scan,
-            self.near(rear_poses, scan) if landmarks is None else landmarks,
+            landmarks,
             self._model,
             view=self._view_of(scan),
             threads=self._threads,

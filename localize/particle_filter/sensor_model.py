@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter import assignment
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.vehicle.pose import inverse_transform_points, rotate_covariance, transform_points
@@ -32,11 +34,21 @@ class PoleModel:
             own covariance does not know (calibration, a trunk that is no line).
     """
 
-    beta_p: float = 1.0
-    width_sd_m: float = 0.15
-    clutter_per_m2: float = 1e-3
+    beta_p: float
+    width_sd_m: float
+    clutter_per_m2: float
+    position_floor_m: float
     clutter_width_span_m: float = 1.0
-    position_floor_m: float = 0.05
+
+    @classmethod
+    def of(cls, config: LocalizeConfig) -> PoleModel:
+        """As the settings have it."""
+        return cls(
+            beta_p=config.beta_p,
+            width_sd_m=config.poles.width_sd_m,
+            clutter_per_m2=config.clutter_per_m2,
+            position_floor_m=config.poles.position_floor_m,
+        )
 
     @property
     def log_width_gain(self) -> float:
@@ -120,6 +132,17 @@ def pole_log_likelihood(
             )
         )
     return _likelihood_scipy(np.asarray(poses), scan, landmarks, model, view, want_assignment)
+
+
+def joint_likelihoods(parts: Sequence[PoseLikelihoods]) -> PoseLikelihoods:
+    """Of observations that say independent things of the same poses; without assignments."""
+    return PoseLikelihoods(
+        np.sum([part.log_likelihood for part in parts], axis=0),
+        np.sum([part.log_fit for part in parts], axis=0),
+        np.sum([part.expected for part in parts], axis=0),
+        np.sum([part.matched for part in parts], axis=0, dtype=np.int32),
+        parts[0].assignment[:0],
+    )
 
 
 def _prepared(scan: Detections, model: PoleModel) -> tuple[Floats, Floats]:

@@ -15,7 +15,13 @@ from polemap.build.drift import measure_drift
 from polemap.build.drive_observations import DriveObservations, join_cannot_link
 from polemap.build.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.build.history import COLUMN, OldMap, open_history, write_history
-from polemap.build.map_columns import building_reports, distinct, evidence_columns, weighted
+from polemap.build.map_columns import (
+    building_reports,
+    distinct,
+    evidence_columns,
+    kind_column,
+    weighted,
+)
 from polemap.build.merge import Merged
 from polemap.build.registration import NO_SHIFT, Shift, register
 from polemap.build.traversals import TraversalLandmarks
@@ -235,7 +241,10 @@ def _finish(
         observations=observations,
         drives=distinct(landmarks.drive, merged.owner, n),
         existence=stands,
-        extra=evidence_columns(landmarks, merged.owner, drives, n),
+        extra={
+            **evidence_columns(landmarks, merged.owner, drives, n),
+            **kind_column(landmarks, merged.owner, n),
+        },
     )
     # a pole that is known stays in doubt, a new one has to win it
     keep = solid & np.where(

@@ -14,7 +14,6 @@ from polemap.drivelog.columns import Columns
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, convergence_rad, transform_points
-from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.pose import inverse_transform_points, rotate, rotate_covariance, wrap_angle
 
@@ -65,6 +64,7 @@ class MapDetections(Columns):
         drive: its name.
         start_s: stamp of its first scan, which puts drives in order.
         scan: row in `views`.
+        kind: a `LandmarkKind`.
         points_m: `(n, 2)` in the map's frame.
         covariance_m2: `(n, 2, 2)` of the detector alone, in the map's frame.
         direction_rad: from the car to the pole, from grid east.
@@ -79,6 +79,7 @@ class MapDetections(Columns):
     frame: EarthFrame
     views: ScanViews
     scan: Whole
+    kind: NDArray[np.int8]
     points_m: Floats
     covariance_m2: Floats
     width_m: Floats
@@ -134,7 +135,6 @@ def georeference_scans(
             "reference that covers them"
         )
     chosen = [scan for scan, usable in zip(every, known, strict=True) if usable]
-    chosen = [scan.of_kind(LandmarkKind.POLE) for scan in chosen]
     poses = _poses_in(poses[known], drive_frame, frame)
     views = _views(stamps[known], poses, chosen)
     detections = _rows(drive, frame, chosen, views, reference, config)
@@ -213,6 +213,7 @@ def _rows(
         frame=frame,
         views=views,
         scan=scan,
+        kind=seen.kind[usable],
         points_m=in_map + pose[:, :2],
         covariance_m2=rotate_covariance(covariance, pose[:, 2]),
         width_m=seen.width_m[usable],

@@ -157,7 +157,12 @@ def open_history(pole_map: PoleMap) -> OldMap:
     table = np.array(rows, dtype=np.float64).reshape(-1, len(_TRAVERSAL))
     evidence = tuple((name, start, drives[start, name]) for start, name in sorted(drives))
     return OldMap(
-        _landmarks(table, np.array(names, dtype=np.str_), np.array(starts, dtype=np.float64)),
+        _landmarks(
+            table,
+            np.array(names, dtype=np.str_),
+            np.array(starts, dtype=np.float64),
+            pole_map.kind[np.array(poles, dtype=np.int64)],
+        ),
         np.array(poles, dtype=np.int64),
         evidence,
         prior,
@@ -208,7 +213,9 @@ def _as_traversal(pole_map: PoleMap, row: int) -> list[float]:
     ]  # fmt: skip
 
 
-def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> TraversalLandmarks:
+def _landmarks(
+    table: Floats, names: NDArray[np.str_], starts: Floats, kind: NDArray[np.int8]
+) -> TraversalLandmarks:
     column = {name: table[:, i] for i, name in enumerate(_TRAVERSAL)}
     covariance = np.empty((len(table), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = column["var_east_m2"], column["var_north_m2"]
@@ -221,6 +228,7 @@ def _landmarks(table: Floats, names: NDArray[np.str_], starts: Floats) -> Traver
     return TraversalLandmarks(
         drive=names,
         start_s=starts,
+        kind=kind,
         points_m=table[:, :2].copy(),
         covariance_m2=covariance,
         gain_m_per_px=np.column_stack(

@@ -13,6 +13,7 @@ from polemap.build.existence import Evidence
 from polemap.build.merge import Merged
 from polemap.build.registration import Shift
 from polemap.build.traversals import TraversalLandmarks
+from polemap.map.pole_map import KIND_COLUMN
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -31,6 +32,17 @@ def distinct(names: NDArray[np.str_], owner: Whole, n: int) -> Whole:
     _, code = np.unique(names, return_inverse=True)
     pairs = np.unique(np.stack([owner, code], axis=1), axis=0)
     return np.bincount(pairs[:, 0], minlength=n).astype(np.int64)
+
+
+def kind_column(
+    landmarks: TraversalLandmarks, owner: Whole, n: int
+) -> dict[str, NDArray[np.generic]]:
+    """The column of kinds `(n,)`, where not all are poles."""
+    if not landmarks.kind.any():
+        return {}
+    kind = np.zeros(n, dtype=np.int8)
+    kind[owner] = landmarks.kind
+    return {KIND_COLUMN: kind}
 
 
 def evidence_columns(

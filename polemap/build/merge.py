@@ -118,6 +118,10 @@ def close_pairs(points_m: Floats, most_m: float) -> Whole:
     return np.asarray(pairs[np.hypot(offset[:, 0], offset[:, 1]) <= most_m])
 
 
+def _of_one_kind(pairs: Whole, landmarks: TraversalLandmarks) -> Whole:
+    return np.asarray(pairs[landmarks.kind[pairs[:, 0]] == landmarks.kind[pairs[:, 1]]])
+
+
 def revisit_pairs(
     landmarks: TraversalLandmarks, config: MappingConfig, cannot_link: Whole
 ) -> Whole:
@@ -125,7 +129,9 @@ def revisit_pairs(
     solid = np.flatnonzero(landmarks.observations >= config.observations_min)
     if len(solid) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    pairs = solid[close_pairs(landmarks.points_m[solid], config.merge_max_m)]
+    pairs = _of_one_kind(
+        solid[close_pairs(landmarks.points_m[solid], config.merge_max_m)], landmarks
+    )
     pairs = pairs[~_listed(pairs, cannot_link, len(landmarks))]
     length = np.linalg.norm(
         landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]], axis=1
@@ -195,7 +201,7 @@ def cluster(
     spread = landmarks.covariance_m2 + shared_covariance(landmarks, config, error.traversal_sd_m)
     spread = spread + np.eye(2) * (error.drive_sd_m**2 + MERGE_SLACK_M**2)
     spread = spread + _common(landmarks.gain_m_per_px)
-    pairs = close_pairs(landmarks.points_m, config.merge_max_m)
+    pairs = _of_one_kind(close_pairs(landmarks.points_m, config.merge_max_m), landmarks)
     offset = landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]]
     both = spread[pairs[:, 0]] + spread[pairs[:, 1]]
     likeness = np.sum(offset * np.linalg.solve(both, offset[..., None])[..., 0], axis=1)

@@ -34,6 +34,7 @@ class TraversalLandmarks(Columns):
     Attributes:
         drive: `(n,)` name of the drive.
         start_s: `(n,)` first stamp of that drive: the order of drives.
+        kind: `(n,)` a `LandmarkKind`.
         points_m: `(n, 2)`.
         covariance_m2: `(n, 2, 2)` of the detector alone.
         reference_sd_m: `(n,)` as the reference states it.
@@ -50,6 +51,7 @@ class TraversalLandmarks(Columns):
 
     drive: NDArray[np.str_]
     start_s: Floats
+    kind: NDArray[np.int8]
     points_m: Floats
     covariance_m2: Floats
     reference_sd_m: Floats
@@ -73,7 +75,7 @@ def associate(detections: MapDetections, config: MappingConfig) -> Whole:
     """Number of the traversal landmark that each detection belongs to, `(n,)`.
 
     Each scan is matched one-to-one with the landmarks that are in sight (optimal assignment on
-    gated Mahalanobis distances), so that two poles beside each other stay two.
+    gated Mahalanobis distances within a kind), so that two poles beside each other stay two.
     """
     gate = chi_square_quantile(GATE_PROBABILITY, 2)
     numbers = np.full(len(detections), -1, dtype=np.int64)
@@ -82,11 +84,12 @@ def associate(detections: MapDetections, config: MappingConfig) -> Whole:
     for scan in np.unique(detections.scan):
         rows = np.arange(starts[scan], starts[scan + 1])
         points, covariance = detections.points_m[rows], detections.covariance_m2[rows]
+        kind = detections.kind[rows]
         open_landmarks.close_before(float(detections.views.stamp_s[scan]) - TRAVERSAL_GAP_S)
-        distance = open_landmarks.distances(points, covariance, GATE_SLACK_M)
+        distance = open_landmarks.distances(points, covariance, kind, GATE_SLACK_M)
         chosen = _assign(distance, gate)
         numbers[rows] = open_landmarks.fuse_scan(
-            points, covariance, chosen, float(detections.views.stamp_s[scan])
+            points, covariance, kind, chosen, float(detections.views.stamp_s[scan])
         )
     return numbers
 
@@ -114,6 +117,7 @@ class _OpenLandmarks:
         self._information = np.zeros((capacity, 3))  # ee, nn, en
         self._vector = np.zeros((capacity, 2))
         self._best = np.full((capacity, 3), np.inf)  # covariance of the best detection
+        self._kind = np.zeros(capacity, dtype=np.int8)
         self._last_s = np.full(capacity, -np.inf)
         self._active = np.empty(0, dtype=np.int64)
         self._count = 0
@@ -122,8 +126,10 @@ class _OpenLandmarks:
         """Close the traversals of landmarks that were last seen before."""
         self._active = self._active[self._last_s[self._active] >= before_s]
 
-    def distances(self, points: Floats, covariance: Floats, slack_m: float) -> Floats:
-        """Squared Mahalanobis distances `(rows, active)` of a scan's detections."""
+    def distances(
+        self, points: Floats, covariance: Floats, kind: NDArray[np.int8], slack_m: float
+    ) -> Floats:
+        """Squared Mahalanobis distances `(rows, active)` of a scan's detections, or infinity."""
         info = self._information[self._active]
         det = info[:, 0] * info[:, 1] - info[:, 2] ** 2
         vector = self._vector[self._active]
@@ -135,9 +141,17 @@ class _OpenLandmarks:
         nn = covariance[:, None, 1, 1] + own[None, :, 1]
         en = covariance[:, None, 0, 1] + own[None, :, 2]
         de, dn = points[:, None, 0] - east, points[:, None, 1] - north
-        return np.asarray((de**2 * nn - 2.0 * de * dn * en + dn**2 * ee) / (ee * nn - en**2))
+        squared = (de**2 * nn - 2.0 * de * dn * en + dn**2 * ee) / (ee * nn - en**2)
+        return np.where(kind[:, None] == self._kind[self._active], squared, np.inf)
 
-    def fuse_scan(self, points: Floats, covariance: Floats, chosen: Whole, stamp_s: float) -> Whole:
+    def fuse_scan(
+        self,
+        points: Floats,
+        covariance: Floats,
+        kind: NDArray[np.int8],
+        chosen: Whole,
+        stamp_s: float,
+    ) -> Whole:
         """Add a scan's detections to their landmarks, or begin new ones; their numbers."""
         fresh = np.flatnonzero(chosen < 0)
         numbers = np.empty(len(points), dtype=np.int64)
@@ -155,6 +169,7 @@ class _OpenLandmarks:
         self._vector[numbers] += np.stack([east, north], axis=1)
         better = ee + nn < self._best[numbers, 0] + self._best[numbers, 1]
         self._best[numbers[better]] = np.stack([ee, nn, en], axis=1)[better]
+        self._kind[numbers] = kind
         self._last_s[numbers] = stamp_s
         return numbers
 
@@ -212,6 +227,8 @@ def average_traversals(
     total = np.bincount(rows, weight, n)
     width, width_sd = median_and_sd(detections.width_m, rows, n)
     height, height_sd = median_and_sd(detections.height_m, rows, n)
+    kind = np.zeros(n, dtype=np.int8)
+    kind[rows] = detections.kind
     first, last = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(first, rows, detections.stamp_s)
     np.maximum.at(last, rows, detections.stamp_s)
@@ -221,6 +238,7 @@ def average_traversals(
     landmarks = TraversalLandmarks(
         drive=np.full(n, detections.drive),
         start_s=np.full(n, detections.start_s),
+        kind=kind,
         points_m=point,
         covariance_m2=covariance,
         reference_sd_m=np.bincount(rows, weight * detections.reference_sd_m, n) / total,

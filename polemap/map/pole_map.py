@@ -19,6 +19,7 @@ from polemap.vehicle.pose import rotate_back
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+KIND_COLUMN = "landmark_kind"
 _SAME_LENGTH = (
     "points_m", "covariance_m2", "width_m", "height_m", "observations", "drives", "existence",
 )  # fmt: skip
@@ -38,13 +39,14 @@ class PoleMap:
         observations: `(n,)` frames that saw it.
         drives: `(n,)` drives that saw it.
         existence: `(n,)` probability that it stands there, 0 to 1.
-        extra: further columns `(n,)`, kept by every format (evidence, history).
+        extra: further columns `(n,)`, kept by every format (evidence, history; `landmark_kind`
+            where not all rows are poles).
         notes: what a user of the map must know (a frame that was assumed, say).
         doubtful: poles that were removed, or that await proof; kept for the next update only.
 
     Raises:
         InputError: arrays of unequal length, coordinates or covariances that are not finite,
-            existence outside 0 to 1.
+            existence outside 0 to 1, kinds that are no whole numbers from 0 to 127.
     """
 
     frame: EarthFrame
@@ -85,6 +87,13 @@ class PoleMap:
         if len(bad):
             value = self.existence[bad[0]]
             raise InputError(f"pole map: pole {self.ids[bad[0]]} has existence {value}, not 0 to 1")
+        if KIND_COLUMN in self.extra:
+            bad = np.flatnonzero(~np.isin(self.extra[KIND_COLUMN], np.arange(128)))
+            if len(bad):
+                raise InputError(
+                    f"pole map: pole {self.ids[bad[0]]} has the {KIND_COLUMN} "
+                    f"{self.extra[KIND_COLUMN][bad[0]]}, not a whole number from 0 to 127"
+                )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -97,6 +106,12 @@ class PoleMap:
             frame, whole, np.empty((0, 2)), np.empty((0, 2, 2)), none, none.copy(), whole.copy(),
             whole.copy(), none.copy(),
         )  # fmt: skip
+
+    @property
+    def kind(self) -> NDArray[np.int8]:
+        """Class `(n,)` of every row, a `LandmarkKind`; all poles where the map does not say."""
+        column = self.extra.get(KIND_COLUMN)
+        return np.zeros(len(self), np.int8) if column is None else column.astype(np.int8)
 
     @property
     def tree(self) -> KDTree | None:
@@ -192,11 +207,19 @@ class PoleMap:
 
 
 def join_maps(first: PoleMap, second: PoleMap) -> PoleMap:
-    """The rows of two maps of one frame, one after the other; extra columns that both have."""
+    """The rows of two maps of one frame, one after the other; extra columns that both have, and
+    the kind."""
 
     def both(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(first, name), getattr(second, name)])
 
+    extra = {
+        name: np.concatenate([values, second.extra[name]])
+        for name, values in first.extra.items()
+        if name in second.extra
+    }
+    if KIND_COLUMN in first.extra or KIND_COLUMN in second.extra:
+        extra[KIND_COLUMN] = both("kind")
     return PoleMap(
         frame=first.frame,
         ids=both("ids"),
@@ -207,10 +230,6 @@ def join_maps(first: PoleMap, second: PoleMap) -> PoleMap:
         observations=both("observations"),
         drives=both("drives"),
         existence=both("existence"),
-        extra={
-            name: np.concatenate([values, second.extra[name]])
-            for name, values in first.extra.items()
-            if name in second.extra
-        },
+        extra=extra,
         notes=(*first.notes, *second.notes),
     )

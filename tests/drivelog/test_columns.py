@@ -85,12 +85,13 @@ def test_every_stream_of_a_drive_is_such_a_table(table) -> None:
 
 def test_a_filter_takes_the_kind_that_it_knows() -> None:
     poles = pole_detections(0.0, 0.1, np.ones((3, 2)), np.tile(np.eye(2), (3, 1, 1)))
-    assert poles.of_kind(LandmarkKind.POLE) is poles
+    assert poles.of_kinds(LandmarkKind.POLE) is poles
     mixed = poles.with_columns(
         kind=np.array([0, 1, 0], dtype=np.int8), width_m=np.array([0.1, 0.2, 0.3])
     )
-    chosen = mixed.of_kind(LandmarkKind.POLE)
+    chosen = mixed.of_kinds(LandmarkKind.POLE)
     assert chosen.width_m.tolist() == [0.1, 0.3]
+    assert mixed.of_kinds(0, 1) is mixed
     assert chosen.arrival_s == 0.1
 
 

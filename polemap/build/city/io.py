@@ -22,7 +22,7 @@ from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import named
 from polemap.parsing.json_text import parse_json
 
-_VERSION = 4
+_VERSION = 5
 _KEY = re.compile("[0-9a-f]{32}")
 
 

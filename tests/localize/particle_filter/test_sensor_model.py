@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.frames import EarthFrame
+from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter import assignment
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.sensor_model import PoleModel, pole_log_likelihood
 from polemap.map.pole_map import PoleMap
 
+MODEL = PoleModel.of(LocalizeConfig())
 needs_kernel = pytest.mark.skipif(
     not assignment.HAVE_KERNEL, reason="the assignment kernel was not built here"
 )
@@ -57,7 +61,7 @@ def test_kernel_likelihood_equals_the_plain_one(seed: int, with_view: bool) -> N
     poses = rng.normal(0, [1.0, 1.0, 0.1], (150, 3))
     view = VisibleRegion(np.array([1.5, 0.3]), -0.7, 0.8, 2.0, rng.uniform(15, 40, 25))
     keywords = {"view": view if with_view else None, "want_assignment": True}
-    model = PoleModel(beta_p=0.8)
+    model = replace(MODEL, beta_p=0.8)
     fast = pole_log_likelihood(poses, scan, landmarks, model, backend="native", **keywords)
     plain = pole_log_likelihood(poses, scan, landmarks, model, backend="scipy", **keywords)
     threaded = pole_log_likelihood(
@@ -98,10 +102,10 @@ def test_moving_world_and_poses_together_changes_nothing(backend: str) -> None:
     there[:, 2] += angle
     view = VisibleRegion(np.zeros(2), -0.6, 0.6, 1.0, np.full(4, 24.0))
     a = pole_log_likelihood(
-        poses, scan, Landmarks.of(world, 0.7), PoleModel(), view=view, backend=backend
+        poses, scan, Landmarks.of(world, 0.7), MODEL, view=view, backend=backend
     )
     b = pole_log_likelihood(
-        there, scan, Landmarks.of(moved, 0.7), PoleModel(), view=view, backend=backend
+        there, scan, Landmarks.of(moved, 0.7), MODEL, view=view, backend=backend
     )
     np.testing.assert_allclose(a.log_likelihood, b.log_likelihood, atol=1e-5)
 
@@ -154,15 +158,13 @@ def test_positions_that_are_not_finite_are_refused(backend: str) -> None:
     poses = np.zeros((2, 3))
     poses[1, 0] = np.nan
     with pytest.raises(ValueError, match="poses holds a value that is not finite"):
-        pole_log_likelihood(
-            poses, scan_of(np.ones((1, 2)), rng), landmarks, PoleModel(), backend=backend
-        )
+        pole_log_likelihood(poses, scan_of(np.ones((1, 2)), rng), landmarks, MODEL, backend=backend)
     with pytest.raises(ValueError, match="points holds a value that is not finite"):
         pole_log_likelihood(
             np.zeros((1, 3)),
             scan_of(np.full((1, 2), np.inf), rng),
             landmarks,
-            PoleModel(),
+            MODEL,
             backend=backend,
         )
 
@@ -172,7 +174,7 @@ def test_empty_map_and_empty_scan_say_nothing(backend: str) -> None:
     rng = np.random.default_rng(0)
     nothing = Landmarks.of(pole_map(np.empty((0, 2)), rng), 0.7)
     found = pole_log_likelihood(
-        np.zeros((5, 3)), scan_of(np.ones((2, 2)), rng), nothing, PoleModel(), backend=backend
+        np.zeros((5, 3)), scan_of(np.ones((2, 2)), rng), nothing, MODEL, backend=backend
     )
     np.testing.assert_array_equal(found.log_likelihood, np.zeros(5))
     np.testing.assert_array_equal(found.matched, np.zeros(5))

@@ -39,6 +39,7 @@ def traversals(points: Floats, gain: Floats, drives: int) -> TraversalLandmarks:
     return TraversalLandmarks(
         drive=np.array([f"d{i % drives}" for i in range(n)]),
         start_s=np.arange(n) % drives * 1.0,
+        kind=np.zeros(n, dtype=np.int8),
         points_m=points,
         covariance_m2=np.tile(np.eye(2) * SD_M**2, (n, 1, 1)),
         reference_sd_m=0.0 * ones,

@@ -115,6 +115,7 @@ def fence(n: int, step_m: float) -> TraversalLandmarks:
     return TraversalLandmarks(
         drive=np.array(["a", "b"] * n),
         start_s=np.array([0.0, 1.0] * n),
+        kind=np.zeros(2 * n, dtype=np.int8),
         points_m=points[:, ::-1].copy(),
         covariance_m2=np.tile(np.eye(2) * 1e-3, (2 * n, 1, 1)),
         reference_sd_m=0.02 * ones,
