@@ -94,6 +94,8 @@ class PoleMap:
                     f"pole map: pole {self.ids[bad[0]]} has the {KIND_COLUMN} "
                     f"{self.extra[KIND_COLUMN][bad[0]]}, not a whole number from 0 to 127"
                 )
+            kind = np.asarray(self.extra[KIND_COLUMN], dtype=np.int8)
+            object.__setattr__(self, "extra", {**self.extra, KIND_COLUMN: kind})
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -111,7 +113,7 @@ class PoleMap:
     def kind(self) -> NDArray[np.int8]:
         """Class `(n,)` of every row, a `LandmarkKind`; all poles where the map does not say."""
         column = self.extra.get(KIND_COLUMN)
-        return np.zeros(len(self), np.int8) if column is None else column.astype(np.int8)
+        return np.broadcast_to(np.int8(0), len(self)) if column is None else column
 
     @property
     def tree(self) -> KDTree | None:
