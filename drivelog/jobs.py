@@ -96,6 +96,17 @@ class LocalWorkers:
                 raise
 
 
+def in_order(do: Callable[[J], Any], jobs: Sequence[J], workers: Workers) -> Iterator[Any]:
+    """What `do` gives for every job, in the order of the jobs; see `run_jobs` for both."""
+    early: dict[int, Any] = {}
+    due = 0
+    for number, result in workers.finished(do, jobs):
+        early[number] = result
+        while due in early:
+            yield early.pop(due)
+            due += 1
+
+
 def run_jobs(
     jobs: Sequence[J],
     do: Callable[[J], Any],

@@ -80,33 +80,30 @@ class PolePerception:
         """The tracked poles of a stereo frame; see `perceive`."""
         return self.perceive(frame).scan
 
-    def perceive(self, frame: StereoFrame) -> PerceivedFrame:
+    def perceive(
+        self, frame: StereoFrame, disparity: DisparityPair | None = None
+    ) -> PerceivedFrame:
         """The poles of a stereo frame with all that led to them.
+
+        Args:
+            frame: the pictures.
+            disparity: their disparity maps, where these are there already.
 
         Raises:
             InputError: there is no camera, or the classifier cannot be read.
             StereoError: images that do not fit the camera.
         """
-        rig = self._require_rig()
-        if self._matcher is None:
-            self._matcher = make_matcher(self._stereo, rig)
-        return self.perceive_disparity(frame, self._matcher.match(frame.left, frame.right))
-
-    def perceive_disparity(self, frame: StereoFrame, disparity: DisparityPair) -> PerceivedFrame:
-        """`perceive` with disparity maps that are there already."""
-        rig = self._require_rig()
-        if self._classifier is None:
-            self._classifier = read_classifier(self._config.detection.model)
-        view = detect(frame, disparity, rig, self._classifier, self._config.detection)
+        if self._rig is None:
+            raise InputError("perception: a stereo frame came, but the drive has no camera")
+        if disparity is None:
+            self._matcher = self._matcher or make_matcher(self._stereo, self._rig)
+            disparity = self._matcher.match(frame.left, frame.right)
+        self._classifier = self._classifier or read_classifier(self._config.detection.model)
+        view = detect(frame, disparity, self._rig, self._classifier, self._config.detection)
         corrected, scan = self._track_stereo(view.detections)
         return PerceivedFrame(
             frame, disparity, replace(view, detections=corrected), self._tracks(), scan
         )
-
-    def _require_rig(self) -> StereoRig:
-        if self._rig is None:
-            raise InputError("perception: a stereo frame came, but the drive has no camera")
-        return self._rig
 
     def track_scan(self, scan: Detections, *, raw_stereo: bool = False) -> Detections:
         """Track poles that were detected elsewhere; they come back with ids and existence.
@@ -134,10 +131,17 @@ class PolePerception:
         return corrected, scan
 
     def _track(self, detections: Detections) -> Detections:
-        """Predict to the stamp, correct, and say what is known now."""
-        if self._stamp_s is not None:
-            self._predict(self._stamp_s, detections.stamp_s)
-        self._stamp_s = detections.stamp_s
+        """Move the tracks with the odometry, correct them, and say what is known now."""
+        last_s, self._stamp_s = self._stamp_s, detections.stamp_s
+        motion = None if last_s is None else motion_between(self._odometry, last_s, self._stamp_s)
+        if motion is not None:
+            self._tracker.predict_tracks(motion)
+            if self._offset is not None:
+                self._offset.dead_reckon(motion)
+        elif last_s is not None:  # a hole in the odometry, or a clock that went back
+            self._tracker.drop_tracks()
+            if self._offset is not None:
+                self._offset.forget_tracks()
         self._tracker.correct_tracks(detections)
         tracks = self._tracks()
         tracks = tracks.take(tracks.confirmed)
@@ -145,18 +149,6 @@ class PolePerception:
             return tracks_in_view(tracks, detections)
         shared_sd_px = self._offset.sd_px if self._offset is not None else 0.0
         return detections_of_tracks(tracks, detections, shared_sd_px)
-
-    def _predict(self, from_s: float, to_s: float) -> None:
-        """Move the tracks along with the odometry."""
-        motion = motion_between(self._odometry, from_s, to_s)
-        if motion is None:  # a hole in the odometry, or a clock that went back
-            self._tracker.drop_tracks()
-            if self._offset is not None:
-                self._offset.forget_tracks()
-            return
-        self._tracker.predict_tracks(motion)
-        if self._offset is not None:
-            self._offset.dead_reckon(motion)
 
     def _tracks(self) -> Tracks:
         """All tracks, with what the shared error adds to their covariance."""

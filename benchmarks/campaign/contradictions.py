@@ -11,7 +11,6 @@ import argparse
 import json
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ import numpy as np
 from benchmarks.campaign.faults import KINDS
 from benchmarks.campaign.judge import judge
 from benchmarks.harness import FOLDER
+from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import replay
 
@@ -49,8 +49,8 @@ def run_all(kinds: list[str], seeds: range, out: Path, workers: int = 2) -> list
     rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
     done = {(row["kind"], row["seed"]) for row in rows}
     jobs = [(k, s) for s in seeds for k in kinds if (k, s) not in done]
-    with ProcessPoolExecutor(workers) as pool, out.open("a") as file:
-        for row in pool.map(one, jobs):
+    with out.open("a") as file:
+        for row in in_order(one, jobs, LocalWorkers(workers)):
             file.write(json.dumps(row) + "\n")
             file.flush()
             rows.append(row)

@@ -7,13 +7,13 @@ degree of freedom of the output at 1 Hz, from the second minute on.
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.evaluation.errors import nees
 from polemap.localize.config import LocalizeConfig
@@ -141,9 +141,8 @@ def alone(job: tuple[str, int, float, float]) -> dict[str, float]:
 
 def main(hours: float, seeds: list[int], time_s: float = 60.0) -> None:
     jobs = [(route, seed, hours, time_s) for route, seed in product(ROUTES, seeds)]
-    with ProcessPoolExecutor(2) as pool:
-        for job, row in zip(jobs, pool.map(alone, jobs), strict=True):
-            print(job[0], {k: round(v, 4) for k, v in row.items()}, flush=True)
+    for job, row in zip(jobs, in_order(alone, jobs, LocalWorkers(2)), strict=True):
+        print(job[0], {k: round(v, 4) for k, v in row.items()}, flush=True)
 
 
 if __name__ == "__main__":

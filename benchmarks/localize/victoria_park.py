@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from functools import cache
-from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +25,7 @@ from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import Run, replay
 from polemap.map.pole_map import PoleMap
@@ -142,27 +141,21 @@ CASES: dict[str, Callable[[int], Rows]] = {
 }
 
 
-def one(case: str, seed: int) -> Rows:
-    """What a worker process does."""
-    return CASES[case](seed)
-
-
 def main(seeds: int, names: list[str], workers: int = 2) -> int:
     """Print mean (least to most) of every figure over the seeds."""
     if not DRIVE.exists():
         print("skipped: the recording ../shared/data/victoria_park is not on this machine")
         return 0
-    with ProcessPoolExecutor(workers) as pool:
-        for case in names:
-            rows = list(pool.map(one, repeat(case, seeds), range(seeds)))
-            for kind in rows[0]:
-                shown = []
-                for key in rows[0][kind]:
-                    values = np.array([row[kind][key] for row in rows])
-                    shown.append(
-                        f"{key} {values.mean():.3f} ({values.min():.3f} to {values.max():.3f})"
-                    )
-                print(f"{case}, {seeds} seeds, {kind}: " + ", ".join(shown), flush=True)
+    for case in names:
+        rows = list(in_order(CASES[case], range(seeds), LocalWorkers(workers)))
+        for kind in rows[0]:
+            shown = []
+            for key in rows[0][kind]:
+                values = np.array([row[kind][key] for row in rows])
+                shown.append(
+                    f"{key} {values.mean():.3f} ({values.min():.3f} to {values.max():.3f})"
+                )
+            print(f"{case}, {seeds} seeds, {kind}: " + ", ".join(shown), flush=True)
     return 0
 
 

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from itertools import repeat
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -28,6 +26,7 @@ from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.drivelog.samples import Image, StereoFrame
 from polemap.evaluation.errors import nees, pose_errors
 from polemap.localize.config import LocalizeConfig
@@ -35,8 +34,9 @@ from polemap.localize.replay import replay
 from polemap.map.pole_map import PoleMap
 from polemap.perception import PolePerception
 from polemap.simulate.config import SimulateConfig
-from polemap.simulate.drive import Plan, Studio, make_plan, simulate_drive
+from polemap.simulate.drive import simulate_drive
 from polemap.simulate.scenario import Scenario
+from polemap.simulate.studio import Plan, Studio, make_plan
 from polemap.simulate.world import World, make_world
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
@@ -102,17 +102,15 @@ def see(route: str, seed: int, drive: Drive, lap: int, every: int) -> list[Detec
     )
     row = int(np.searchsorted(odometry.stamp_s, span.start_s - 1.0))
     scans = []
-    with ProcessPoolExecutor(2, get_context("spawn"), _open_studio, (route, seed)) as pool:
-        for number, (left, right, disparity) in zip(
-            numbers, pool.map(_take, numbers, chunksize=2), strict=True
-        ):
-            stamp = float(plan.frame_stamps_s[number])
-            while row < len(odometry) and odometry.stamp_s[row] <= stamp:
-                perception.record_odometry(odometry.sample(row))
-                row += 1
-            arrival = float(plan.frame_arrivals_s[number])
-            frame = StereoFrame(stamp, arrival, number, left, right)
-            scans.append(perception.perceive_disparity(frame, disparity).scan)
+    taken = in_order(_take, numbers, LocalWorkers(2, _open_studio, (route, seed)))
+    for number, (left, right, disparity) in zip(numbers, taken, strict=True):
+        stamp = float(plan.frame_stamps_s[number])
+        while row < len(odometry) and odometry.stamp_s[row] <= stamp:
+            perception.record_odometry(odometry.sample(row))
+            row += 1
+        arrival = float(plan.frame_arrivals_s[number])
+        frame = StereoFrame(stamp, arrival, number, left, right)
+        scans.append(perception.perceive(frame, disparity).scan)
     return scans
 
 
@@ -178,12 +176,8 @@ def rows_of(place: str, seeds: int) -> Iterator[str]:
         pole_map = map_of(drive, see(route, seed, drive, 0, MAP_EVERY))
         scans = see(route, seed, drive, 1, 1)
         for case, (every, changes) in CASES.items():
-            with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-                runs = pool.map(
-                    judge, repeat(folder), repeat(pole_map), repeat(scans[::every]),
-                    repeat(changes), range(seeds),
-                )  # fmt: skip
-                table = np.array(list(runs))
+            run = partial(judge, folder, pole_map, scans[::every], changes)
+            table = np.array(list(in_order(run, range(seeds), LocalWorkers(2))))
             figures = zip(
                 COLUMNS, table.mean(axis=0), table.std(axis=0), table.max(axis=0), strict=True
             )

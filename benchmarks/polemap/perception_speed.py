@@ -120,7 +120,7 @@ def _stage_times(
         elif isinstance(sample, StereoFrame):
             with _stages_timed(spent):
                 begin = time.process_time()
-                view = perception.perceive_disparity(sample, maps[sample.index]).view
+                view = perception.perceive(sample, maps[sample.index]).view
                 spent["whole"].append(time.process_time() - begin)
             hypotheses.append(len(view.detections))
     return spent

@@ -15,9 +15,7 @@ on which the classifier was trained. Not timed, so `python -m benchmarks` leaves
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 
 import cv2
 import numpy as np
@@ -26,6 +24,7 @@ from numpy.typing import NDArray
 from benchmarks.simulate.streets import open_street
 from polemap.config import PolemapConfig
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.drivelog.samples import StereoFrame
 from polemap.evaluation.detections import FrameRecord, match, record, score_frames, score_tracks
 from polemap.map.pole_map import PoleMap
@@ -134,8 +133,7 @@ def main(words: list[str]) -> None:
     seconds = float(words[1]) if len(words) > 1 else 10.0
     worlds = words[2:] or list(WORLDS)
     jobs = [(name, FIRST_SEED + k, seconds) for name in worlds for k in range(seeds)]
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        results = list(pool.map(judge, jobs))
+    results = list(in_order(judge, jobs, LocalWorkers(2)))
     print("world | seed | " + " | ".join(results[0]))
     for (name, seed, _), result in zip(jobs, results, strict=True):
         print(f"{name} | {seed} | " + " | ".join(f"{v:.2f}" for v in result.values()))

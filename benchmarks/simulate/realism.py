@@ -17,9 +17,9 @@ from benchmarks.simulate.registration import Windows, register, together
 from benchmarks.stereo.pairs import read_grey, read_truth
 from polemap.simulate.camera_mounting import kitti_camera
 from polemap.simulate.config import RenderConfig, SimulateConfig
-from polemap.simulate.drive import Studio, make_plan
 from polemap.simulate.render import View
 from polemap.simulate.scenario import load_scenario, scenario_names
+from polemap.simulate.studio import Studio, make_plan
 from polemap.simulate.world import make_world
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import make_matcher

@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.harness import compared
 from polemap.simulate.config import RenderConfig, SimulateConfig
-from polemap.simulate.drive import Studio, make_plan
 from polemap.simulate.scenario import load_scenario
+from polemap.simulate.studio import Studio, make_plan
 from polemap.simulate.world import make_world
 
 ROUNDS = 7

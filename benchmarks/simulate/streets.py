@@ -9,8 +9,8 @@ import numpy as np
 from polemap.drivelog.streams import OdometryStream
 from polemap.simulate import sensors
 from polemap.simulate.config import RenderConfig, SimulateConfig
-from polemap.simulate.drive import Plan, Studio, make_plan
 from polemap.simulate.scenario import load_scenario
+from polemap.simulate.studio import Plan, Studio, make_plan
 from polemap.simulate.world import World, make_world
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from polemap.drivelog.errors import InputError, WorkerError
-from polemap.drivelog.jobs import LocalWorkers, run_jobs
+from polemap.drivelog.jobs import LocalWorkers, in_order, run_jobs
 
 _given: list[int] = []
 
@@ -94,6 +94,19 @@ def test_results_are_kept_here_where_asked_for(tmp_path: Path, count: int) -> No
         steps=lambda job: job.number,
     )
     assert kept == {0: 30, 1: 31, 2: 32, 3: 33}
+
+
+class Backwards:
+    """Workers whose last job ends first."""
+
+    def finished(self, do, jobs):
+        for number in reversed(range(len(jobs))):
+            yield number, do(jobs[number])
+
+
+@pytest.mark.parametrize("workers", [Backwards(), LocalWorkers(1), LocalWorkers(2)])
+def test_results_come_in_the_order_of_the_jobs(tmp_path: Path, workers) -> None:
+    assert list(in_order(do, jobs(tmp_path), workers)) == [0, 1, 4, 9]
 
 
 def test_a_lost_worker_is_replaced(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from polemap.build.city.io import read_checkpoint, write_checkpoint
 from polemap.build.city.tiles import Run
 from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.jobs import Advance, Workers, run_jobs
+from polemap.drivelog.jobs import Advance, Workers, in_order, run_jobs
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +99,9 @@ def on_workers(workers: Workers, advance: Advance = lambda _steps: None) -> Run:
     """
 
     def run(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
-        results: list[Any] = [None] * len(tasks)
-        for number, result in workers.finished(function, tasks):
-            results[number] = result
+        results = []
+        for result in in_order(function, tasks, workers):
+            results.append(result)
             advance(1)
         return results
 
