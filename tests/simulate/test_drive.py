@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
-from polemap.simulate import drive as module
+from polemap.simulate import studio as module
 from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.drive import count_frames, simulate_drive
 from polemap.simulate.frame_faults import DroppedFrames
