@@ -71,7 +71,7 @@ def _open_recording(
         notes.append(f"{name}: config.yaml names no drive; no reference, laps.csv or map picture")
         return Recording(name, settings, guide), notes
     try:
-        drive = open_drive(main.drive)
+        drive = open_drive(main.drive, topics=main.topics)
         truth = _read_truth(main.drive)
     except (PolemapError, ValueError, OSError) as error:
         notes.append(f"{name}: its drive cannot be read any more ({error}); no reference, no laps")

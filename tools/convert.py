@@ -16,7 +16,7 @@ import typer
 
 from polemap.drivelog.drive import readers
 from polemap.drivelog.errors import ConfigError, InputError
-from polemap.tools.option_types import SeedOption
+from polemap.tools.option_types import SeedOption, TopicsOption
 
 Source = Literal["drive", "run", "log"]
 
@@ -59,6 +59,7 @@ class Request:
         trajectory: of a run, `kf` or `pf`; None chooses.
         run: which of the runs of a folder with several.
         map_file, drive: what a run was made from, where it does not lead there or is to show it.
+        topics: mapping of the topics of a log.
     """
 
     inputs: tuple[Path, ...]
@@ -68,6 +69,7 @@ class Request:
     run: int = 0
     map_file: Path | None = None
     drive: Path | None = None
+    topics: Path | None = None
 
     @property
     def input(self) -> Path:
@@ -102,6 +104,7 @@ def command(
     drive: Annotated[
         Path | None, typer.Option("--drive", help="The drive of a run, for its pictures.")
     ] = None,
+    topics: TopicsOption = None,
     seed: SeedOption = 0,
 ) -> None:
     """Convert a drive, a run or a log into another form.
@@ -120,7 +123,7 @@ def command(
     a run becomes a recording for Foxglove (.mcap) or rerun (.rrd), see polemap view.
     What the new form has no place for is named. docs/viewers.md lists what reads what.
     """
-    request = Request(tuple(inputs), out, seed, trajectory, run, map_file, drive)
+    request = Request(tuple(inputs), out, seed, trajectory, run, map_file, drive, topics)
     source = kind_of(request.inputs[0])
     target = form or FORM_OF_ENDING.get(out.suffix.lower(), "folder")
     place = CONVERSIONS.get((source, target))

@@ -14,7 +14,7 @@ from polemap.tools.progress import progress
 def to_folder(request: Request) -> list[str]:
     """A plain drive folder of any drive, images included."""
     check_folder(request.out, "drive", request.inputs)
-    drive = open_drive(request.input, seed=request.seed)
+    drive = open_drive(request.input, seed=request.seed, topics=request.topics)
     with progress(len(drive.frame_stamps_s), f"writing {drive.name}") as advance:
         write_drive(drive, request.out, advance)
     return [f"drive {drive.name} written to {request.out}"]
@@ -23,7 +23,7 @@ def to_folder(request: Request) -> list[str]:
 def to_kitti(request: Request) -> list[str]:
     """The layout of the KITTI odometry benchmark, with poses where there is a reference."""
     check_folder(request.out, "drive", request.inputs)
-    drive = open_drive(request.input, seed=request.seed)
+    drive = open_drive(request.input, seed=request.seed, topics=request.topics)
     with progress(len(drive.frame_stamps_s), f"writing {drive.name}") as advance:
         sequence = write_kitti_odometry(drive, request.out, advance=advance)
     return [
@@ -56,7 +56,7 @@ def to_mcap(request: Request) -> list[str]:
     check_installed("mcap")
     from polemap.drivelog.writers.ros.drive import write_drive_mcap
 
-    drive = open_drive(request.input, seed=request.seed)
+    drive = open_drive(request.input, seed=request.seed, topics=request.topics)
     with progress(len(drive.frame_stamps_s), f"writing {drive.name}") as advance:
         counts = write_drive_mcap(drive, request.out, advance)
     return [

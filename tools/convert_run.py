@@ -14,7 +14,7 @@ from polemap.vehicle.trajectory import Trajectory
 
 def to_trajectory(request: Request) -> list[str]:
     """The poses of a run in the format of the ending."""
-    check_file(request.out, (*request.inputs, request.map_file, request.drive))
+    check_file(request.out, (*request.inputs, request.map_file, request.drive, request.topics))
     opened = open_run(request.input, request.run, request.map_file, request.drive)
     check_trajectory_file(request.out, opened.frame)
     which = request.trajectory or "kf"
@@ -40,7 +40,7 @@ def to_recording(request: Request) -> list[str]:
 def reference_to_trajectory(request: Request) -> list[str]:
     """The reference poses of a drive in the format of the ending."""
     check_file(request.out, request.inputs)
-    drive = open_drive(request.input, seed=request.seed)
+    drive = open_drive(request.input, seed=request.seed, topics=request.topics)
     if drive.reference is None:
         raise InputError(f"drive {drive.name}: it has no reference poses to write")
     check_trajectory_file(request.out, drive.frame)

@@ -23,7 +23,7 @@ from polemap.perception import PerceivedFrame, PolePerception, perceive_drive
 from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
 from polemap.tools.findings import require_plausible
-from polemap.tools.option_types import ConfigOption, ForceOption, SetOption
+from polemap.tools.option_types import ConfigOption, ForceOption, SetOption, TopicsOption
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 from polemap.vehicle.pose import inverse_transform_points
@@ -52,6 +52,7 @@ def command(
     seed: Annotated[
         int, typer.Option("--seed", min=0, help="Of sensors that have to be derived.")
     ] = 0,
+    topics: TopicsOption = None,
     force: ForceOption = False,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -67,9 +68,9 @@ def command(
     belongs to none. Pictures show depth edges, hypotheses (green: a pole), track ids and the
     disparity, and from above the view, the uncertainties and the map.
     """
-    check_folder(out, KIND, (drive, evaluate, unmapped, config))
+    check_folder(out, KIND, (drive, evaluate, unmapped, config, topics))
     settings = load_settings(config, set_values)
-    opened = open_drive(drive, seed=seed)
+    opened = open_drive(drive, seed=seed, topics=topics)
     if opened.rig is None or not opened.has_frames:
         raise InputError(f"drive {opened.name}: it has no stereo images to detect poles in")
     wanted = _range(frames, len(opened.frame_stamps_s))

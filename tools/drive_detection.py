@@ -42,14 +42,19 @@ _DETECTION_SETTINGS = ("stereo", "polemap.detection")
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A drive on the disk, or the laps of it that `Drive.lap` understands."""
+    """A drive on the disk, or the laps of it that `Drive.lap` understands.
+
+    Attributes:
+        topics: mapping of the topics of a log.
+    """
 
     drive: str
     lap: str | None
+    topics: str | None = None
 
     def open(self, seed: int = 0) -> Drive:
         """The drive; `seed` is for sensors that it lacks and that are derived."""
-        drive = open_drive(Path(self.drive), seed=seed)
+        drive = open_drive(Path(self.drive), seed=seed, topics=self.topics)
         return drive if self.lap is None else drive.lap(self.lap)
 
 

@@ -18,7 +18,13 @@ from polemap.settings import load_settings
 from polemap.tools.drive_detection import DriveDetections, Source, detect_drive
 from polemap.tools.findings import require_plausible
 from polemap.tools.monte_carlo import Replay, run_many, shared_runs
-from polemap.tools.option_types import ConfigOption, ForceOption, SeedOption, SetOption
+from polemap.tools.option_types import (
+    ConfigOption,
+    ForceOption,
+    SeedOption,
+    SetOption,
+    TopicsOption,
+)
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 
@@ -45,6 +51,7 @@ def command(
         Path | None,
         typer.Option("--cache", help="Keeps detections and finished runs: a killed call goes on."),
     ] = None,
+    topics: TopicsOption = None,
     force: ForceOption = False,
     seed: SeedOption = 0,
     config: ConfigOption = None,
@@ -64,7 +71,7 @@ def command(
     the same trajectories, bit for bit. The poles are detected once, in parallel; --cache keeps
     what was found there, for other runs and for the sweeps of polemap report.
     """
-    check_folder(out, "run", (drive, map_file, cache, config))
+    check_folder(out, "run", (drive, map_file, cache, config, topics))
     settings = load_settings(config, set_values)
     if (map_file is None) != without_poles:
         raise ConfigError(
@@ -73,7 +80,7 @@ def command(
             else "--map and --without-poles exclude each other; drop one of them"
         )
     processes = workers or cpu_count() or 1
-    source = Source(str(drive), lap)
+    source = Source(str(drive), lap, None if topics is None else str(topics))
     opened = source.open()
     pole_map = read_map(map_file, frame=opened.frame) if map_file is not None else None
     require_plausible(opened.name, find(opened, pole_map), force=force)

@@ -31,7 +31,13 @@ from polemap.tools.map_picture import (
     write_localizability,
 )
 from polemap.tools.map_worker import observe_task, open_part, scan
-from polemap.tools.option_types import ConfigOption, ForceOption, SeedOption, SetOption
+from polemap.tools.option_types import (
+    ConfigOption,
+    ForceOption,
+    SeedOption,
+    SetOption,
+    TopicsOption,
+)
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 
@@ -88,6 +94,7 @@ def command(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Dask scheduler, such as tcp://host:8786.")
     ] = None,
+    topics: TopicsOption = None,
     force: ForceOption = False,
     seed: SeedOption = 0,
     config: ConfigOption = None,
@@ -109,7 +116,7 @@ def command(
     in view are left out; `docs/maps.md` has the rules and the columns.
     """
     written = [out, picture, layer]
-    check_files(written, [*(drives or []), convert, config])
+    check_files(written, [*(drives or []), convert, config, topics])
     # a map may be brought up to date in its place, pictures of it may not stand there
     check_files(written[1:], [update])
     settings = load_settings(config, set_values)
@@ -117,7 +124,7 @@ def command(
         _compare(drives or [], out, align)
         return
     if convert is not None:
-        _convert(convert, drives or [], out, seed)
+        _convert(convert, drives or [], out, seed, topics)
         return
     if not drives:
         raise InputError("no drive is given: polemap map DRIVE... --out MAP")
@@ -126,7 +133,7 @@ def command(
     check_writable(out)
     check_picture(picture)
     with reserved(out):
-        opened = [open_part(path, lap, seed) for path in drives]
+        opened = [open_part(path, lap, seed, topics) for path in drives]
         for drive in opened:
             require_plausible(drive.name, find(drive), force=force)
         # the map keeps its own zone: drives come to it
@@ -140,8 +147,9 @@ def command(
         else:
             names = unique_names(opened)
             text = settings.model_dump_json()
+            mapping = None if topics is None else str(topics.resolve())
             tasks = [
-                DriveTask(str(path.resolve()), name, lap, seed, frame, text)
+                DriveTask(str(path.resolve()), name, lap, seed, frame, text, mapping)
                 for path, name in zip(drives, names, strict=True)
             ]
             place = _Place(folder, workers, scheduler)
@@ -192,10 +200,12 @@ def _compare(maps: list[Path], out: Path | None, align: bool) -> None:
         typer.echo(f"{change:<8} pole {changes.ids[row]} at {east:.2f}, {north:.2f}{far}")
 
 
-def _convert(source: Path, drives: list[Path], out: Path | None, seed: int) -> None:
+def _convert(
+    source: Path, drives: list[Path], out: Path | None, seed: int, topics: Path | None
+) -> None:
     if out is None:
         raise InputError("--out is missing: its ending chooses the format to convert to")
-    frame = open_drive(drives[0], seed=seed).frame if drives else None
+    frame = open_drive(drives[0], seed=seed, topics=topics).frame if drives else None
     pole_map = read_map(source, frame)
     export_map(pole_map, out)
     for note in pole_map.notes:

@@ -15,9 +15,9 @@ from polemap.settings import Settings
 from polemap.tools.progress import Advance
 
 
-def open_part(path: Path, lap: str | None, seed: int) -> Drive:
+def open_part(path: Path, lap: str | None, seed: int, topics: Path | None = None) -> Drive:
     """A drive, or the lap of it."""
-    drive = open_drive(path, seed=seed)
+    drive = open_drive(path, seed=seed, topics=topics)
     return drive.lap(lap) if lap is not None else drive
 
 
@@ -38,6 +38,7 @@ def scan(drive: Drive, settings: Settings, advance: Advance) -> list[Detections]
 def observe_task(task: DriveTask) -> DriveObservations:
     """Detect the poles of one drive and give what it contributes to the map."""
     settings = Settings.model_validate_json(task.settings)
-    drive = open_part(Path(task.path), task.lap, task.seed)
+    topics = Path(task.topics) if task.topics else None
+    drive = open_part(Path(task.path), task.lap, task.seed, topics)
     scans = scan(drive, settings, lambda _steps: None)
     return observe(drive, task.name, scans, settings.polemap.mapping, task.frame)

@@ -83,6 +83,7 @@ class Replay:
         return {
             "polemap_version": __version__,
             "drive": self.source.drive,
+            **({"topics": self.source.topics} if self.source.topics else {}),
             "map": None if self.map_file is None else str(self.map_file),
             "lap": self.source.lap,
             "frame": self.frame.to_dict(),

@@ -19,7 +19,7 @@ from polemap.drivelog.errors import ConfigError
 from polemap.map.io import read_map
 from polemap.settings import Settings, load_settings
 from polemap.stereo.matching import make_matcher
-from polemap.tools.option_types import ConfigOption, SetOption
+from polemap.tools.option_types import ConfigOption, SetOption, TopicsOption
 from polemap.tools.progress import progress
 from polemap.training import (
     Judgement,
@@ -44,6 +44,7 @@ def command(
         int, typer.Option("--parts", min=1, help="Stretches of a drive for cross-validation.")
     ] = 1,
     every: Annotated[int, typer.Option("--every", min=1, help="Use every n-th frame.")] = 1,
+    topics: TopicsOption = None,
     config: ConfigOption = None,
     set_values: SetOption = None,
 ) -> None:
@@ -60,10 +61,10 @@ def command(
     settings = load_settings(config, set_values)
     pairs, lacking = _pairs(drives), dict(_pairs(unmapped or []))
     inputs = [place for pair in [*pairs, *lacking.items()] for place in pair]
-    check_file(out, [*inputs, config])
+    check_file(out, [*inputs, config, topics])
     training = TrainingConfig(every=every)
     gathered = [
-        _collect(drive, pole_map, lacking.get(drive), settings, training, parts)
+        _collect(drive, pole_map, lacking.get(drive), settings, training, parts, topics)
         for drive, pole_map in pairs
     ]
     samples = join(gathered)
@@ -73,7 +74,7 @@ def command(
     model = train(
         samples,
         training,
-        {**_origin(samples, crossed, training), **_source(pairs, lacking, parts, every)},
+        {**_origin(samples, crossed, training), **_source(pairs, lacking, parts, every, topics)},
     )
     write_classifier(model, out)
     _tell(model, samples, crossed)
@@ -90,12 +91,16 @@ def _pairs(items: list[str]) -> list[tuple[str, str]]:
 
 
 def _source(
-    pairs: list[tuple[str, str]], lacking: dict[str, str], parts: int, every: int
+    pairs: list[tuple[str, str]],
+    lacking: dict[str, str],
+    parts: int,
+    every: int,
+    topics: Path | None,
 ) -> dict[str, Any]:
     """The command, without the folders of this machine, and what the drives say of themselves."""
     words = [f"{Path(drive).name}={Path(pole_map).name}" for drive, pole_map in pairs]
     words += [f"--unmapped {Path(d).name}={Path(m).name}" for d, m in lacking.items()]
-    opened = [open_drive(Path(drive)) for drive, _ in pairs]
+    opened = [open_drive(Path(drive), topics=topics) for drive, _ in pairs]
     return {
         "command": f"polemap train {' '.join(words)} --parts {parts} --every {every}",
         "notes": {drive.name: list(drive.notes) for drive in opened},
@@ -109,8 +114,9 @@ def _collect(
     settings: Settings,
     training: TrainingConfig,
     parts: int,
+    topics: Path | None,
 ) -> Samples:
-    drive = open_drive(Path(path))
+    drive = open_drive(Path(path), topics=topics)
     known = read_map(Path(pole_map), drive.frame)
     ignore = read_map(Path(lacking), drive.frame).points_m if lacking else None
     matcher = make_matcher(settings.stereo, drive.rig)

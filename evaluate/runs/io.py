@@ -98,6 +98,11 @@ class RunSet:
         return self._path("drive")
 
     @property
+    def topics(self) -> Path | None:
+        """Mapping of the topics of the log that the drive was."""
+        return self._path("topics")
+
+    @property
     def map(self) -> Path | None:
         """Where the map stood, if the run says so."""
         return self._path("map")

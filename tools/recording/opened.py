@@ -57,13 +57,18 @@ class OpenedRun:
 
 
 def open_run(
-    path: Path, number: int = 0, map_file: Path | None = None, drive: Path | None = None
+    path: Path,
+    number: int = 0,
+    map_file: Path | None = None,
+    drive: Path | None = None,
+    topics: Path | None = None,
 ) -> OpenedRun:
     """A run folder of `polemap localize`, or run `number` of one with several.
 
     Args:
         map_file: in place of the one that the run names.
         drive: the drive that was localized, for its pictures.
+        topics: mapping of its topics, in place of the one that the run names.
 
     Raises:
         InputError: the folder, its map or its drive cannot be read, or its frame is not known.
@@ -74,7 +79,7 @@ def open_run(
         raise ConfigError(f"{path}: has runs 0 to {len(runs.runs) - 1}; there is no run {number}")
     opened = None
     if drive is not None:
-        opened = open_drive(drive)
+        opened = open_drive(drive, topics=topics or runs.topics)
         opened = opened if runs.lap is None else opened.lap(runs.lap)
     frame = opened.frame if opened is not None else _frame_of(runs)
     pole_map, notes = _map_of(runs, map_file, frame)
@@ -95,7 +100,9 @@ def _frame_of(runs: RunSet) -> EarthFrame | None:
     if stated is not None:
         return EarthFrame.from_dict(stated)
     drive = runs.drive
-    return open_drive(drive).frame if drive is not None and os.path.exists(drive) else None
+    if drive is None or not os.path.exists(drive):
+        return None
+    return open_drive(drive, topics=runs.topics).frame
 
 
 def _map_of(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,7 @@ Floats = NDArray[np.float64]
 # what differs by less than this between raw and rectified is no distortion a picture could show
 _SAME_PX = 0.01
 _ASSUMED_HEIGHT_M = 1.5
+_DECIMALS = 12
 # of a camera's body (x ahead, y left, z up), the axes of its optical frame (z ahead, x right)
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -168,4 +171,6 @@ def vehicle_from_camera(
     # an optical frame looks along z; z of a camera's body points up
     if abs(rotation[2, 2]) > 0.7:
         rotation = rotation @ _BODY_FROM_OPTICAL
-    return Mounting.from_rotation(rotation @ turn, way[:3, 3])
+    mount = Mounting.from_rotation(rotation @ turn, way[:3, 3])
+    # quaternions leave 1e-16 behind, which the building of a map would make visible
+    return Mounting(*(round(value, _DECIMALS) for value in astuple(mount)))

@@ -40,9 +40,11 @@ class Times:
 
 
 def seconds(nanoseconds: Integers) -> Floats:
-    """The double nearest to each number of nanoseconds; a division alone would round twice."""
+    """The double nearest to each number of nanoseconds, as if its decimals had been read."""
+    # exact below 2^53; above it the number itself would be rounded before it is divided
     whole, rest = np.divmod(nanoseconds, _SECOND_NS)
-    return np.asarray(whole + rest / 1e9, dtype=np.float64)
+    exact = np.abs(nanoseconds) < 2**53
+    return np.asarray(np.where(exact, nanoseconds / 1e9, whole + rest / 1e9), dtype=np.float64)
 
 
 @dataclass(slots=True)
@@ -98,6 +100,8 @@ def times_of(
     arrival = topic.logs_ns - clock.ahead_ns
     stamp = topic.stamps_ns
     blank = stamp <= 0
+    if _starts_at_zero(stamp):
+        blank = np.zeros(len(stamp), dtype=bool)
     if np.any(blank):
         moved = int(np.count_nonzero(blank & (arrival != stamp)))
         if moved:
@@ -112,3 +116,10 @@ def times_of(
     if np.any(early):
         problems[f"{name}_arrival_before_stamp"] += int(np.count_nonzero(early))
     return Times(stamp, np.where(early, stamp, arrival))
+
+
+def _starts_at_zero(stamps_ns: Integers) -> bool:
+    """Whether the one stamp of zero is that of the first message, of a clock that began there."""
+    if len(stamps_ns) < 2 or stamps_ns[0] != 0 or np.count_nonzero(stamps_ns <= 0) != 1:
+        return False
+    return bool(stamps_ns[1] < _ANOTHER_CLOCK_NS)

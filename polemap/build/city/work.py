@@ -32,6 +32,7 @@ class DriveTask:
         name: of the drive in the map.
         lap: row of laps.csv, or None.
         settings: everything that the result depends on, as JSON.
+        topics: mapping of the topics of a log.
     """
 
     path: str
@@ -40,12 +41,12 @@ class DriveTask:
     seed: int
     frame: EarthFrame
     settings: str
+    topics: str | None = None
 
     def key(self) -> str:
         """Names the computation: another drive, setting or version gives another key."""
-        text = json.dumps(
-            [__version__, self.path, self.name, self.lap, self.seed, str(self.frame), self.settings]
-        )
+        parts = [__version__, self.path, self.name, self.lap, self.seed, str(self.frame)]
+        text = json.dumps([*parts, self.settings, *([self.topics] if self.topics else [])])
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 

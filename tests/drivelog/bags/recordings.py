@@ -160,11 +160,17 @@ def ros_messages(drive: Drive, ros: Ros, *, png: bool = False) -> list[Said]:
                 Said(ns(row.arrival_s), "/wheel/twist", "geometry_msgs/msg/TwistStamped", content)
             )
     if drive.reference is not None:
-        for stamp, pose in zip(drive.reference.stamp_s, drive.reference.poses, strict=True):
+        kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+        reference = drive.reference
+        for stamp, pose, sd_m in zip(
+            reference.stamp_s, reference.poses, reference.sd_m, strict=True
+        ):
+            covariance = np.diag([sd_m**2, sd_m**2, *[0.0] * 4]).ravel()
             content = ros.make(
-                "geometry_msgs/msg/PoseStamped", ros.header(ns(stamp), "map"), ros.pose(*pose)
-            )
-            said.append(Said(ns(stamp), "/ground_truth", "geometry_msgs/msg/PoseStamped", content))
+                kind, ros.header(ns(stamp), "map"),
+                ros.make("geometry_msgs/msg/PoseWithCovariance", ros.pose(*pose), covariance),
+            )  # fmt: skip
+            said.append(Said(ns(stamp), "/ground_truth", kind, content))
     said += _ros_fixes(drive, ros)
     return sorted(said, key=lambda one: one.log_ns)
 

@@ -116,6 +116,7 @@ def assert_same(drive: Drive, folder: Drive) -> None:
             np.testing.assert_allclose(values, getattr(theirs, name), atol=1e-9, rtol=0)
     assert drive.reference is not None
     assert folder.reference is not None
+    np.testing.assert_array_equal(drive.reference.stamp_s, np.round(folder.reference.stamp_s, 9))
     np.testing.assert_allclose(drive.reference.poses, folder.reference.poses, atol=1e-9, rtol=0)
     for row in range(len(folder.frame_stamps_s)):
         ours, theirs = drive.read_frame(row), folder.read_frame(row)

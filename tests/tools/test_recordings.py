@@ -1,0 +1,114 @@
+"""Commands on recordings: the same poses as from the folder, the topics told, mappings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.tum import read_tum
+from polemap.drivelog.writers.folder import write_drive
+from polemap.map.io import read_map
+from polemap.simulate.camera_mounting import CameraConfig
+from polemap.simulate.config import RenderConfig, SimulateConfig
+from polemap.simulate.drive import simulate_drive
+from polemap.simulate.scenario import Scenario
+from polemap.stereo.rig import Mounting
+from polemap.tools.cli import run
+from tests.drivelog.bags.recordings import (
+    Ros,
+    ros_messages,
+    write_mcap,
+    write_rosbag2,
+)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A car passes a few lamps; every stream arrives later than it was measured."""
+    street = Scenario.model_validate(
+        {
+            "name": "street",
+            "route": {"closed": False, "corner_radius_m": 8.0, "corners_m": [[0, 0], [40, 0]]},
+            "rows": [
+                {"kind": "lamp", "side": "right", "spacing_m": 9, "offset_m": 0.5},
+                {"kind": "lamp", "side": "left", "spacing_m": 12, "offset_m": 1.0},
+            ],
+            "drive": {"speed_mps": 7.0, "standstill_s": 0.5},
+            "backdrop": False,
+        }
+    )
+    camera = CameraConfig(width_px=320, height_px=200, focal_px=342.0, frame_rate_hz=3.0)
+    config = SimulateConfig(camera=camera, render=RenderConfig(workers=1, shadows=False))
+    return simulate_drive(street, tmp_path_factory.mktemp("street") / "drive", 1, 3, config)
+
+
+def mapping(path: Path, **parts: object) -> Path:
+    path.write_text(yaml.safe_dump({"format_version": 1, **parts}))
+    return path
+
+
+def poses_of(place: Path, drive: Path, *options: str) -> list[np.ndarray]:
+    """Poles of a map of the drive, and both trajectories in it."""
+    seen = place / f"{drive.stem}.gpkg"
+    out = place / f"run_{drive.stem}"
+    assert run(["map", str(drive), "--out", str(seen), "--force", *options]) == 0
+    assert run(["localize", str(drive), "--map", str(seen), "--out", str(out), "--workers", "1",
+                "--force", *options]) == 0  # fmt: skip
+    poles = read_map(seen).points_m
+    return [poles, *(read_tum(out / f"{kind}.tum").poses for kind in ("pf", "kf"))]
+
+
+def assert_same(ours: list[np.ndarray], theirs: list[np.ndarray]) -> None:
+    assert len(theirs[0])
+    for mine, folder in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(mine, folder, atol=1e-9, rtol=0)
+
+
+def test_a_simulated_drive_gives_the_same_poses_as_a_recording(
+    simulated: Path, tmp_path: Path
+) -> None:
+    drive = open_drive(simulated)
+    ros = Ros()
+    log = write_rosbag2(tmp_path / "log", ros_messages(drive, ros), ros, "SQLITE3")
+    told = mapping(tmp_path / "topics.yaml", vehicle={"wheelbase_m": drive.wheelbase_m})
+    ours = poses_of(tmp_path, log, "--topics", str(told))
+    assert_same(ours, poses_of(tmp_path, simulated))
+
+
+def test_kitti_gives_the_same_poses_as_a_recording(
+    recording: Callable[[str], Path], tmp_path: Path
+) -> None:
+    whole = open_drive(recording("kitti_odometry") / "sequences" / "03")
+    drive = whole.between(0.0, 3.0)
+    assert drive.images is not None
+    folder = tmp_path / "folder"
+    write_drive(rounded(drive), folder)
+    ros = Ros()
+    log = write_mcap(tmp_path / "log.mcap", ros_messages(open_drive(folder), ros, png=True), ros)
+    told = mapping(
+        tmp_path / "topics.yaml",
+        vehicle={"wheelbase_m": drive.wheelbase_m},
+        frame=drive.frame.to_dict(),
+        gnss={"topic": "/gnss/local"},
+    )
+    assert_same(poses_of(tmp_path, log, "--topics", str(told)), poses_of(tmp_path, folder))
+
+
+def rounded(drive: Drive) -> Drive:
+    """Stamps of whole nanoseconds, which is what a recording holds, and a mounting of 1e-12."""
+    streams = {
+        name: replace(stream, **{key: np.round(getattr(stream, key), 9) for key in keys})
+        for name, keys in (("odometry", ("stamp_s", "arrival_s")),
+                           ("gnss", ("stamp_s", "arrival_s")), ("reference", ("stamp_s",)))
+        if (stream := getattr(drive, name)) is not None
+    }  # fmt: skip
+    assert drive.rig is not None
+    mount = Mounting(*(round(value, 12) for value in astuple(drive.rig.vehicle_from_camera)))
+    rig = replace(drive.rig, vehicle_from_camera=mount)
+    return replace(drive, rig=rig, **streams)
