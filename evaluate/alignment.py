@@ -1,6 +1,7 @@
 """Trajectories of other systems brought to ours, by as little as is asked for and said.
 
-The kinds are those of evo: nothing, the first pose, a rigid motion of the plane, or the clock.
+The kinds are those of evo: nothing, the first pose, a rigid motion of the plane, the clock, or the
+clock and then one of the others.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from polemap.vehicle.pose import rotation, wrap_angle
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
-Alignment = Literal["none", "origin", "se2", "time"]
+Alignment = Literal["none", "origin", "se2", "time", "time,origin", "time,se2"]
 ALIGNMENTS: tuple[str, ...] = get_args(Alignment)
+# the correlation finds the lag to some hundredths of a second, positions more finely
+_REFINEMENTS, _REFINED_MAX_S = 5, 0.3
 
 
 def align(
@@ -32,7 +35,8 @@ def align(
         goal: the reference, or our own output where there is none.
         kind: `none`; `origin` puts the first common pose onto the goal's; `se2` moves it by the
             rigid motion that brings all common positions nearest (least squares); `time` shifts
-            its stamps by the lag of its speeds and turn rates.
+            its stamps by the lag of its speeds and turn rates; `time,se2` and `time,origin` do
+            both, the lag refined by the positions that the motion brings together.
         name: of the track, for messages.
 
     Raises:
@@ -46,6 +50,13 @@ def align(
         lag = _clock_lag(track, goal, name)
         moved = Trajectory(track.stamp_s - lag, track.poses, track.covariance)
         return moved, f"{name}: aligned by time, its stamps less {lag:.3f} s"
+    if kind in ("time,origin", "time,se2"):
+        lag = _clock_lag(track, goal, name)
+        lag += _refined_lag(Trajectory(track.stamp_s - lag, track.poses), goal, name)
+        shifted = Trajectory(track.stamp_s - lag, track.poses, track.covariance)
+        rest: Alignment = "se2" if kind == "time,se2" else "origin"
+        moved, text = align(shifted, goal, rest, name)
+        return moved, f"{text}, after its stamps less {lag:.3f} s"
     poses = goal.at(track.stamp_s)
     both = np.isfinite(poses).all(axis=1)
     if both.sum() < 2:
@@ -70,6 +81,23 @@ def align(
     return moved, (
         f"{name}: aligned by {what}, turned {np.degrees(turn):.2f} degrees and moved {far:.2f} m"
     )
+
+
+def _refined_lag(track: Trajectory, goal: Trajectory, name: str) -> float:
+    """What is left of the lag, by the way along which the track lies behind the goal."""
+    lag = 0.0
+    for _ in range(_REFINEMENTS):
+        moved, _text = align(Trajectory(track.stamp_s - lag, track.poses), goal, "se2", name)
+        poses = goal.at(moved.stamp_s)
+        velocity = np.gradient(moved.poses[:, :2], moved.stamp_s, axis=0)
+        both = np.isfinite(poses).all(axis=1)
+        power = float((velocity[both] ** 2).sum())
+        if power <= 0.0:
+            return lag
+        off = poses[both, :2] - moved.poses[both, :2]
+        lag += float((off * velocity[both]).sum()) / power
+        lag = float(np.clip(lag, -_REFINED_MAX_S, _REFINED_MAX_S))
+    return lag
 
 
 def _clock_lag(track: Trajectory, goal: Trajectory, name: str) -> float:

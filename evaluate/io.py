@@ -146,13 +146,14 @@ def _with_added(
         for number, one in enumerate(result):
             goal = one.reference if one.reference is not None else one.guide
             shared = track
-            if alignment == "time":
+            timed = alignment.startswith("time")
+            if timed:
                 shared, text = align(track, goal, alignment, name)
             start, end = one.guide.stamp_s[0], one.guide.stamp_s[-1]
             part = shared.between(float(start), float(end))
             if len(part) > 1:
                 used = True
-                if alignment != "time":
+                if not timed:
                     part, text = align(part, goal, alignment, name)
                 done.setdefault(number, []).append(text)
                 result[number] = Recording(

@@ -8,7 +8,18 @@ import numpy as np
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding, worst_first
-from polemap.drivelog.plausibility import absolute, motion, places, poles, reference, time
+from polemap.drivelog.plausibility import (
+    absolute,
+    detector_place,
+    fix_delay,
+    motion,
+    places,
+    poles,
+    reference,
+    rows,
+    stretches,
+    time,
+)
 from polemap.drivelog.plausibility.odometer import (
     Odometer,
     of_gnss,
@@ -16,6 +27,7 @@ from polemap.drivelog.plausibility.odometer import (
     of_places,
     of_reference,
 )
+from polemap.vehicle.pose import rotate
 
 
 def check_drive(drive: Drive) -> list[Finding]:
@@ -27,7 +39,7 @@ def check_drive(drive: Drive) -> list[Finding]:
     """
     found = list(drive.findings)
     found += time.rate_findings(drive) + time.overlap_findings(drive)
-    found += time.gap_findings(drive) + time.lap_findings(drive)
+    found += time.gap_findings(drive) + rows.row_findings(drive)
     found += absolute.duplicate_findings(drive) + absolute.vehicle_findings(drive)
     found += absolute.camera_findings(drive)
     found += absolute.gnss_findings(drive) + absolute.pole_findings(drive)
@@ -59,9 +71,14 @@ def _motion(drive: Drive) -> list[Finding]:
             mirrored = any(f.kind == "reference_axes" for f in yaw_found + found)
             trusted = yawed if mirrored else trusted
     trusted = _moving(trusted)
+    frozen = stretches.frozen_speed(drive, trusted if trusted is not None else gnss)
+    if frozen:
+        return found + frozen
     offset = time.find_offset(odometry, trusted, gnss, lambda a, b: poles.contradicted(drive, a, b))
-    if offset is not None:
+    if offset is not None and not _places_contradict(drive, offset):
         found.append(offset.finding())
+    else:
+        offset = None
     posed_well = trusted is yawed and trusted is not None
     odometry, trusted, gnss = (time.shifted(track, offset) for track in (odometry, trusted, gnss))
     if posed_well and odometry is not None and trusted is not None and not found:
@@ -70,10 +87,37 @@ def _motion(drive: Drive) -> list[Finding]:
     if not any(f.stream == "odometry.csv" and f.severity == "error" for f in found):
         found += absolute.odometry_findings(drive)
     teller = trusted if posed_well else odometry
-    if teller is not None:
-        agreed = odometry is not None and (trusted is not None or gnss is not None)
-        found += poles.motion_findings(drive, teller, confirmed=agreed)
-    return found
+    found += stretches.frozen_fixes(drive, teller)
+    if teller is None:
+        return found
+    quiet = not any(f.stream in ("odometry.csv", "reference.csv") for f in found)
+    if quiet and offset is None:
+        found += fix_delay.delay_findings(drive, teller, heading_known=posed_well)
+    agreed = odometry is not None and (trusted is not None or gnss is not None)
+    of_poles = poles.motion_findings(drive, teller, confirmed=agreed)
+    if quiet and not of_poles:
+        of_poles = detector_place.place_findings(drive, teller, surveyed=posed_well)
+    return found + of_poles
+
+
+def _places_contradict(drive: Drive, offset: time.Offset) -> bool:
+    """Whether fixes and reference, one of which fits another time, lie nearer as they are.
+
+    On laps, a round earlier fits the motion as well.
+    """
+    gnss, posed = drive.gnss, drive.reference
+    late_s = {"gnss.csv": -offset.late_s, "reference.csv": offset.late_s}.get(offset.late.name)
+    if gnss is None or posed is None or late_s is None:
+        return False
+    fixes = np.stack([gnss.east_m, gnss.north_m], axis=1)
+    told, moved = (
+        np.hypot(*(fixes - poses[:, :2] - rotate(drive.gnss_antenna_m, poses[:, 2])).T)
+        for poses in (
+            posed.at(stamps, max_gap_s=5.0) for stamps in (gnss.stamp_s, gnss.stamp_s + late_s)
+        )
+    )
+    both = np.isfinite(told) & np.isfinite(moved)
+    return bool(both.sum() > 5 and np.median(told[both]) < np.median(moved[both]))
 
 
 def _scales(
@@ -90,7 +134,14 @@ def _scales(
     if judge is None:
         return []
     noisy = judge is gnss or judge.smooth_s > 1.0
+    level, of_offset = (odometry, []) if noisy else stretches.yaw_rate_offset(odometry, judge)
     scales = motion.find_scales(odometry, judge)
+    if of_offset and not motion.turn_findings(
+        "", leveled := motion.find_scales(level, judge), "", noisy=False
+    ):
+        # an offset alone explains the turns
+        found += of_offset
+        scales = replace(scales, turn=leveled.turn)
     if noisy:
         # fixes turn by their noise: the bends are chosen by the odometry
         turns = motion.find_scales(judge, odometry).turn
@@ -108,6 +159,8 @@ def _scales(
     found += motion.speed_findings(stream, scales, against, noisy=noisy, turn_alike=alike)
     if not alike:
         found += motion.turn_findings(stream, scales, against, noisy=noisy)
+    if not found:
+        found += stretches.disagreeing_stretches(odometry, judge, gnss)
     return found
 
 

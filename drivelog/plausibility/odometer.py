@@ -118,14 +118,19 @@ def of_gnss(gnss: GnssStream) -> Odometer | None:
 
 def common_spans(first: Odometer, second: Odometer, span_s: float) -> tuple[Floats, ...]:
     """Ways and turns of both over the spans that both know: four arrays `(m,)`."""
-    coarse = first if len(first) <= len(second) else second
     start = max(first.stamp_s[0], second.stamp_s[0])
-    number = np.unique(np.floor((coarse.stamp_s - start) / span_s))
-    from_s = start + span_s * number[number >= 0]
+    from_s = span_starts(first if len(first) <= len(second) else second, span_s, start)
     way_a, turn_a, known_a = first.spans(from_s, from_s + span_s)
     way_b, turn_b, known_b = second.spans(from_s, from_s + span_s)
     both = known_a & known_b
     return way_a[both], turn_a[both], way_b[both], turn_b[both]
+
+
+def span_starts(track: Odometer, span_s: float, start_s: float | None = None) -> Floats:
+    """Starts `(m,)` of the spans in which the track has a stamp: a gap of a day has none."""
+    start = track.stamp_s[0] if start_s is None else start_s
+    number = np.unique(np.floor((track.stamp_s - start) / span_s))
+    return np.asarray(start + span_s * number[number >= 0])
 
 
 def _summed(stamps: Floats, rates: Floats) -> Floats:

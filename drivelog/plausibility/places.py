@@ -82,13 +82,13 @@ def distance_findings(drive: Drive) -> list[Finding]:
     else:
         points, places = fixes[both], poses[both]
     off = points - places[:, :2]
-    distance = float(np.median(np.hypot(off[:, 0], off[:, 1])))
+    distance = _median(off)
     if distance < _FAR_DOUBT_M:
         return _rotation(points, places[:, :2])
     east, north = np.median(off, axis=0)
     value = f"fixes are {_metres(distance)} from reference.csv in the median"
     expected = f"within {_FAR_DOUBT_M:.0f} m"
-    if cause := _cause(drive, points, places[:, :2]):
+    if cause := _cause(drive, points, places[:, :2], distance):
         kind, stream, text, remedy = cause
         return [Finding(kind, "error", stream, f"{value}; {text}", expected, remedy)]
     if turned := _rotation(points, places[:, :2]):
@@ -134,9 +134,11 @@ def _rotation(fixes: Floats, places: Floats) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _cause(drive: Drive, fixes: Floats, places: Floats) -> tuple[str, str, str, str] | None:
+def _cause(
+    drive: Drive, fixes: Floats, places: Floats, distance: float
+) -> tuple[str, str, str, str] | None:
     """Kind, stream, what it is and the remedy, where one known mistake explains the distance."""
-    if _near(fixes, places[:, ::-1]):
+    if _near(fixes, places[:, ::-1]) and _median(fixes - places[:, ::-1]) < 0.3 * distance:
         return ("reference_axes", "reference.csv", "they agree with east_m and north_m exchanged",
                 "exchange the columns east_m and north_m")  # fmt: skip
     frame = drive.frame
@@ -172,8 +174,11 @@ def _cause(drive: Drive, fixes: Floats, places: Floats) -> tuple[str, str, str, 
 
 
 def _near(a: Floats, b: Floats) -> bool:
-    off = a - b
-    return bool(np.median(np.hypot(off[:, 0], off[:, 1])) < _NEAR_M)
+    return _median(a - b) < _NEAR_M
+
+
+def _median(off: Floats) -> float:
+    return float(np.median(np.hypot(off[:, 0], off[:, 1])))
 
 
 def _guesses(latitude: Floats | float, longitude: Floats | float) -> dict[str, tuple]:  # type: ignore[type-arg]

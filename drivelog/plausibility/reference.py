@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
+from polemap.drivelog.frames import convergence_rad
 from polemap.drivelog.plausibility.odometer import Odometer, common_spans
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.pose import rotate_back, wrap_angle
@@ -21,6 +22,8 @@ _STEP_MAX_S = 2.0
 # clean references: median |course - yaw| of 0.001 to 0.009 rad
 _YAW_DOUBT_RAD, _YAW_WRONG_RAD = np.radians(4.0), np.radians(15.0)
 _FIT_RAD = 0.12
+# clean references: less than 0.2 degrees of constant between yaw and course on straights
+_YAW_CONSTANT_RAD, _STRAIGHT_PER_M, _STRAIGHT_MIN = np.radians(0.8), 0.01, 20
 # a rear axle slips outward by about this angle per lateral acceleration, give or take
 _SLIP, _SLIP_SD = -0.006, 0.004
 _LEVER_M, _LEVER_SDS = 0.5, 6.0
@@ -79,7 +82,7 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
     course, yaw = chords.course_rad, chords.yaw_rad
     off = _median_off(course, yaw)
     if off < _YAW_DOUBT_RAD:
-        return []
+        return _constant_findings(drive, chords)
     guesses = {
         "yaw points backward": (yaw + pi, "turn the yaw by 180 degrees"),
         "yaw is from north, clockwise": (pi / 2 - yaw, "write pi/2 - yaw"),
@@ -125,6 +128,34 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
         Finding(
             "reference_yaw", "error" if severe else "warning", "reference.csv", value + text,
             expected, "check the yaw's convention and the alignment of the reference system",
+        )
+    ]  # fmt: skip
+
+
+def _constant_findings(drive: Drive, chords: Chords) -> list[Finding]:
+    """A small constant between yaw and course: a mounting angle, or a geographic north."""
+    straight = np.abs(chords.turn_rad) < _STRAIGHT_PER_M * np.maximum(chords.along_m, 1e-3)
+    if straight.sum() < _STRAIGHT_MIN:
+        return []
+    off = wrap_angle(chords.yaw_rad - chords.course_rad)[straight]
+    constant = float(np.median(off))
+    spread = float(np.median(np.abs(off - constant)))
+    if abs(constant) < max(_YAW_CONSTANT_RAD, spread):
+        return []
+    remedy = f"subtract {np.degrees(constant):.2f} degrees, or align the reference system"
+    if drive.frame.is_utm and drive.reference is not None:
+        middle = np.median(drive.reference.poses[:, :2], axis=0)
+        north = float(convergence_rad(drive.frame, middle[None])[0])
+        if abs(abs(constant) - abs(north)) < np.radians(0.3):
+            remedy = (
+                f"count it from grid east, not geographic: the norths are {np.degrees(north):.2f} "
+                "degrees apart here"
+            )
+    return [
+        Finding(
+            "reference_yaw", "warning", "reference.csv",
+            f"its yaw is {np.degrees(constant):+.2f} degrees off its course where it goes straight",
+            f"within {np.degrees(_YAW_CONSTANT_RAD):.1f} degrees", remedy,
         )
     ]  # fmt: skip
 

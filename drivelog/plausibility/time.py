@@ -21,7 +21,6 @@ _GAIN_MIN = 6.0
 _LAG_DOUBT_S, _LAG_WRONG_S = 0.15, 0.6
 _GNSS_LAG_DOUBT_S, _GNSS_LAG_WRONG_S = 0.6, 3.0
 _STEP_MAX_S = 1.0
-_LATE_MAX_S = 60.0
 _GAP_S = 2.0
 _SHARED_MIN = 0.3
 _TICKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -40,7 +39,7 @@ def stamps_of(drive: Drive) -> dict[str, Floats]:
 
 
 def rate_findings(drive: Drive) -> list[Finding]:
-    """Odometry too slow or too fast to be in seconds, and arrivals long after their stamps."""
+    """Odometry too slow or too fast to be in seconds."""
     found = []
     for name, stamps in stamps_of(drive).items():
         if len(stamps) < 10:
@@ -51,17 +50,6 @@ def rate_findings(drive: Drive) -> list[Finding]:
                 Finding(
                     "stamp_unit", "error", name, f"a row every {step:.4g} s",
                     f"every 0.0001 to {_STEP_MAX_S:g} s", "write stamp_s in seconds",
-                )
-            )  # fmt: skip
-    for name, stream in (("odometry.csv", drive.odometry), ("gnss.csv", drive.gnss)):
-        if stream is None or len(stream) < 3:
-            continue
-        late = float(np.median(stream.arrival_s - stream.stamp_s))
-        if late > _LATE_MAX_S:
-            found.append(
-                Finding(
-                    "arrival", "error", name, f"rows arrive {late:.4g} s after their stamp",
-                    f"within {_LATE_MAX_S:.0f} s", "write arrival_s by the clock of stamp_s",
                 )
             )  # fmt: skip
     return found
@@ -96,21 +84,6 @@ def overlap_findings(drive: Drive) -> list[Finding]:
             )
         )  # fmt: skip
     return found
-
-
-def lap_findings(drive: Drive) -> list[Finding]:
-    """Laps that hold nothing of the drive."""
-    start, end = drive.span_s
-    empty = [lap for lap in drive.laps if lap.end_s <= start or lap.start_s >= end]
-    if not empty or not np.isfinite(start):
-        return []
-    return [
-        Finding(
-            "laps", "error" if len(empty) == len(drive.laps) else "warning", "laps.csv",
-            f"lap '{empty[0].name}' lasts from {empty[0].start_s:.3f} to {empty[0].end_s:.3f} s",
-            f"laps within {start:.3f} to {end:.3f} s", "write its times by the drive's clock",
-        )
-    ]  # fmt: skip
 
 
 def _share(own: Floats, other: Floats) -> float:

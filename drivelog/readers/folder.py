@@ -21,7 +21,7 @@ from polemap.drivelog.readers.drive_yaml import (
     read_drive_yaml,
 )
 from polemap.drivelog.readers.folder_camera import FolderCamera, read_camera
-from polemap.drivelog.readers.given import is_given, row_findings
+from polemap.drivelog.readers.given import is_given, row_findings, without_zero_fixes
 from polemap.drivelog.readers.poles import read_scans
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
@@ -68,7 +68,7 @@ class FolderReader:
         camera = gathered.attempt(_camera, folder, head)
         frames = None
         if camera is not None or head.camera is None:
-            frames = gathered.attempt(_frames, folder, head, camera, findings, notes)
+            frames = gathered.attempt(_frames, folder, head, camera, problems, findings, notes)
         scans = gathered.attempt(read_scans, folder, head.pole_detector, problems, findings)
         odometry = gathered.attempt(_odometry, folder, problems, findings)
         gnss = gathered.attempt(_gnss, folder, frame, problems, findings)
@@ -159,6 +159,8 @@ def _sensor(
 ) -> Table:
     table = read_table(path, ("stamp_s", *columns), optional=optional)
     table = in_order(table, findings, duplicates="drop")
+    if path.name == "gnss.csv":
+        table = without_zero_fixes(table, columns)
     findings += row_findings(table)
     return count_problems(table, problems)
 
@@ -167,6 +169,7 @@ def _frames(
     folder: Path,
     head: DriveYaml,
     camera: FolderCamera | None,
+    problems: Counter[str],
     findings: list[Finding],
     notes: list[str],
 ) -> tuple[Floats, Floats, FrameSource | None]:
@@ -191,7 +194,7 @@ def _frames(
             f"(such as {str(outside[0])[-80:]})"
         )
     images = camera.pairs(pairs)
-    return table["stamp_s"], arrivals(table, Counter()), images
+    return table["stamp_s"], arrivals(table, problems), images
 
 
 def _inside(folder: Path, text: object, index: Path, outside: list[Path] | None) -> Path:
@@ -267,6 +270,10 @@ def _reference(
     table = _sensor(path, ("east_m", "north_m", "yaw_rad"), ("sd_m",), problems, findings)
     poses = np.stack([table["east_m"], table["north_m"], wrap_angle(table["yaw_rad"])], axis=1)
     sd = table["sd_m"] if "sd_m" in table else np.full(len(table), np.nan)
+    unusable = int(np.count_nonzero(sd <= 0.0))
+    if unusable:
+        problems["reference_sd_not_positive"] += unusable
+        sd = np.where(sd > 0.0, sd, np.nan)
     return ReferenceStream(table["stamp_s"], poses, sd)
 
 

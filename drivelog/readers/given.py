@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.tables import Table
 
 _LOST_MAX = 0.05
-# left out for what they hold, not for when they came
-_TIMELY = ("duplicate_stamps", "stamp_far_from_rest")
+# left out for when they came, or with a finding of their own
+_APART = ("duplicate_stamps", "stamp_far_from_rest", "fix_at_zero")
+# of latitude and longitude zero from the other fixes, in degrees as in metres
+_ZERO_APART = {"latitude_deg": 0.01, "east_m": 100.0}
 
 
 def is_given(path: Path) -> bool:
@@ -33,7 +37,7 @@ def is_given(path: Path) -> bool:
 
 def row_findings(table: Table) -> list[Finding]:
     """A file without rows, and one of which many rows were left out for what they hold."""
-    lost = {why: count for why, count in table.dropped.items() if why not in _TIMELY}
+    lost = {why: count for why, count in table.dropped.items() if why not in _APART}
     left_out, name = sum(lost.values()), table.path.name
     if not len(table) and not left_out:
         return [
@@ -52,3 +56,23 @@ def row_findings(table: Table) -> list[Finding]:
             f"at most {100 * _LOST_MAX:.0f} % of them", "write finite numbers in SI units",
         )
     ]  # fmt: skip
+
+
+def without_zero_fixes(table: Table, columns: tuple[str, ...]) -> Table:
+    """The fixes without those at 0, 0 that stand far from the others: the receiver had none.
+
+    Args:
+        table: the rows of gnss.csv.
+        columns: the two that name the place.
+    """
+    points = np.stack([table[name] for name in columns], axis=1)
+    zero = (points == 0.0).all(axis=1)
+    others = points[~zero]
+    if not zero.any() or not len(others):
+        return table
+    # nearest in time before and after: a drive through the origin keeps its place
+    after = np.cumsum(~zero)[zero]
+    nearest = np.stack([others[np.clip(after + k, 0, len(others) - 1)] for k in (-1, 0)])
+    far = np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=0) > _ZERO_APART[columns[0]]
+    zero[np.flatnonzero(zero)[~far]] = False
+    return table.keep(~zero, "fix_at_zero")

@@ -68,6 +68,8 @@ def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> 
     table = in_order(table, findings, duplicates="allow")
     _check_crowd(table)
     var_x, var_y = table["var_x_m2"], table["var_y_m2"]
+    if "arrival_s" in table and (early := table["arrival_s"] < table["stamp_s"]).any():
+        problems["poles_arrival_before_stamp"] += int(np.count_nonzero(early))
     positive = (var_x > 0) & (var_y > 0) & (var_x * var_y > table["cov_xy_m2"] ** 2)
     table = table.keep(positive, "covariance_not_positive")
     findings += row_findings(table)

@@ -53,6 +53,20 @@ def test_another_clock_is_found_wherever_the_track_lies(goal: Trajectory, offset
     assert "aligned by time" in text
 
 
+@pytest.mark.parametrize(("kind", "offset_s"), [("time,se2", -18.0), ("time,origin", 0.37)])
+def test_clock_and_motion_are_taken_away_together(
+    goal: Trajectory, kind: str, offset_s: float
+) -> None:
+    track = _moved(goal, 2.0, 7000.0, -3.0)
+    late = Trajectory(track.stamp_s + offset_s, track.poses)
+    aligned, text = align(late, goal, kind, "theirs")  # type: ignore[arg-type]
+    assert aligned.stamp_s == pytest.approx(goal.stamp_s, abs=2e-3)
+    off = np.hypot(*(aligned.poses - goal.poses)[:, :2].T)
+    assert np.median(off) < 0.03
+    assert f"stamps less {offset_s:.2f}" in text
+    assert "turned -114.59" in text
+
+
 def test_what_has_nothing_in_common_is_refused(goal: Trajectory) -> None:
     apart = Trajectory(goal.stamp_s + 1e4, goal.poses)
     with pytest.raises(InputError, match="shares no time"):

@@ -48,7 +48,8 @@ def command(
         str,
         typer.Option(
             "--align",
-            help="What is done to added trajectories first: none, origin, se2 or time, as evo.",
+            help="What is done to added trajectories first, as evo: none, origin, se2, time, "
+            "time,origin or time,se2.",
         ),
     ] = "none",
     sweep: Annotated[
@@ -142,8 +143,10 @@ def parse_alignment(text: str) -> Alignment:
     Raises:
         ConfigError: none of the known ones.
     """
+    if "," in text:
+        text = ",".join(sorted((part.strip() for part in text.split(",")), reverse=True))
     if text not in ALIGNMENTS:
-        raise ConfigError(f"--align {text}: choose one of {', '.join(ALIGNMENTS)}")
+        raise ConfigError(f"--align {text}: choose one of {'; '.join(ALIGNMENTS)}")
     return cast(Alignment, text)
 
 

@@ -16,12 +16,19 @@ Floats = NDArray[np.float64]
 EAST_M, NORTH_M = 388_500.0, 5_819_500.0
 
 
-def clean_drive(seed: int = 0, duration_s: float = 80.0) -> Drive:
-    """A drive in EPSG:32633 with all streams; noise as of a cheap receiver and of good wheels."""
+def clean_drive(
+    seed: int = 0, duration_s: float = 80.0, pace: float = 1.0, bends: float = 1.0
+) -> Drive:
+    """A drive in EPSG:32633 with all streams; noise as of a cheap receiver and of good wheels.
+
+    `pace` multiplies the speed (11 m/s at most), `bends` the yaw rate.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, duration_s, 0.02)
     speed = 8.0 + 3.0 * np.sin(2 * np.pi * t / 31.0) + 1.5 * np.sin(2 * np.pi * t / 12.7 + 1.0)
+    speed *= pace
     rate = 0.22 * np.sin(2 * np.pi * t / 23.0) * (np.sin(2 * np.pi * t / 57.0) > -0.2) + 0.02
+    rate *= bends
     yaw = 0.3 + np.cumsum(rate) * 0.02
     east = EAST_M + np.cumsum(speed * np.cos(yaw)) * 0.02
     north = NORTH_M + np.cumsum(speed * np.sin(yaw)) * 0.02
