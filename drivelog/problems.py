@@ -29,6 +29,14 @@ class Gathered:
             self.errors.append(error)
             return None
 
+    def at(self, place: str, step: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
+        """`attempt` of a step whose error does not say its place."""
+        try:
+            return step(*args, **kwargs)
+        except InputError as error:
+            self.errors.append(InputError(f"{place}: {error}"))
+            return None
+
     def error(self, place: object) -> InputError:
         """The only error that was kept, or a `Mistakes` with all."""
         if len(self.errors) == 1:
@@ -76,7 +84,7 @@ def validation_mistakes(
 def _mistake(problem: Any, model: type[BaseModel], prefix: str) -> str:
     # in brackets stand names of pydantic's own
     loc = [p for p in problem["loc"] if not str(p).startswith(("function-", "<"))]
-    place = prefix + ".".join(str(part) for part in loc) or "top level"
+    place = (prefix + ".".join(str(part) for part in loc)).rstrip(".") or "top level"
     home, help_text = _described(model, loc)
     if problem["type"] == "extra_forbidden":
         known = [str(field.alias or name) for name, field in home.model_fields.items()]

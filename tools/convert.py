@@ -16,7 +16,7 @@ import typer
 
 from polemap.drivelog.drive import readers
 from polemap.drivelog.errors import ConfigError, InputError
-from polemap.tools.option_types import SeedOption, TopicsOption
+from polemap.tools.option_types import ForceOption, SeedOption, TopicsOption
 
 Source = Literal["drive", "run", "log"]
 
@@ -34,6 +34,8 @@ CONVERSIONS: dict[tuple[Source, str], str] = {
     ("run", "mcap"): "polemap.tools.convert_run:to_recording",
     ("run", "rrd"): "polemap.tools.convert_run:to_recording",
     **{("run", form): "polemap.tools.convert_run:to_trajectory" for form in TRAJECTORIES},
+    ("log", "folder"): "polemap.tools.convert_log:to_folder",
+    ("log", "csv"): "polemap.tools.convert_log:to_csv",
 }
 """What goes in and what comes out, to `module:function`, which takes a `Request`."""
 
@@ -59,7 +61,11 @@ class Request:
         trajectory: of a run, `kf` or `pf`; None chooses.
         run: which of the runs of a folder with several.
         map_file, drive: what a run was made from, where it does not lead there or is to show it.
-        topics: mapping of the topics of a log.
+        topics: mapping of the topics of a bag.
+    mapping: of a log, what its columns are.
+    wheelbase_m: of the car of a log, where the mapping does not say it.
+    day: on which a log begins that has times of day alone.
+    force: write a drive that cannot be right.
     """
 
     inputs: tuple[Path, ...]
@@ -70,6 +76,10 @@ class Request:
     map_file: Path | None = None
     drive: Path | None = None
     topics: Path | None = None
+    mapping: Path | None = None
+    wheelbase_m: float | None = None
+    day: str | None = None
+    force: bool = False
 
     @property
     def input(self) -> Path:
@@ -85,9 +95,9 @@ class Request:
 
 def command(
     inputs: Annotated[
-        list[Path], typer.Argument(metavar="INPUT...", help="A drive of any kind, or a run.")
+        list[Path], typer.Argument(metavar="INPUT...", help="A drive of any kind, a run, or logs.")
     ],
-    out: Annotated[Path, typer.Option("--out", help="File or folder to write.")],
+    out: Annotated[Path | None, typer.Option("--out", help="File or folder to write.")] = None,
     form: Annotated[
         str | None,
         typer.Option("--to", help="What to write; by the ending of --out where it is not said."),
@@ -105,6 +115,19 @@ def command(
         Path | None, typer.Option("--drive", help="The drive of a run, for its pictures.")
     ] = None,
     topics: TopicsOption = None,
+    mapping: Annotated[
+        Path | None, typer.Option("--mapping", help="Of logs: YAML file, our columns to theirs.")
+    ] = None,
+    write_mapping: Annotated[
+        Path | None, typer.Option("--write-mapping", help="Of logs: a mapping to complete.")
+    ] = None,
+    wheelbase_m: Annotated[
+        float | None, typer.Option("--wheelbase", min=0.1, help="Of the car of logs, metres.")
+    ] = None,
+    day: Annotated[
+        str | None, typer.Option("--date", help="Of NMEA logs without one, such as 2024-05-31.")
+    ] = None,
+    force: ForceOption = False,
     seed: SeedOption = 0,
 ) -> None:
     """Convert a drive, a run or a log into another form.
@@ -117,14 +140,31 @@ def command(
         polemap convert runs/lap_2 --out lap_2.gpx
         polemap convert runs/lap_2 --out lap_2_pf.kitti --trajectory pf
         polemap convert runs/lap_2 --drive drives/monday --out lap_2.mcap
+        polemap convert can.csv gps.nmea --write-mapping names.yaml
+        polemap convert can.csv gps.nmea --mapping names.yaml --out drives/tuesday
+        polemap convert track.gpx --out gnss.csv
+        polemap convert can.csv --mapping names.yaml --out signals.csv
 
     A drive becomes a plain drive folder, a KITTI odometry folder or an MCAP file of ROS 2 messages;
     the poses of a run, or the reference of a drive, become .tum, .kitti, .csv, .gpx or .geojson;
     a run becomes a recording for Foxglove (.mcap) or rerun (.rrd), see polemap view.
     What the new form has no place for is named. docs/viewers.md lists what reads what.
+    Logs are CSV of any shape, NMEA and GPX; a mapping says what their columns are, in what units.
+    docs/logs.md explains it.
     """
-    request = Request(tuple(inputs), out, seed, trajectory, run, map_file, drive, topics)
-    source = kind_of(request.inputs[0])
+    source = kind_of(inputs[0])
+    if write_mapping is not None:
+        if source != "log":
+            raise ConfigError(f"convert: {inputs[0]} is a {source} and needs no --write-mapping")
+        write = import_module("polemap.tools.convert_log").write_mapping
+        typer.echo("\n".join(write(inputs, write_mapping, mapping)))
+        return
+    if out is None:
+        raise ConfigError("convert: --out is needed: the file or folder to write")
+    request = Request(
+        tuple(inputs), out, seed, trajectory, run, map_file, drive, topics,
+        mapping=mapping, wheelbase_m=wheelbase_m, day=day, force=force,
+    )  # fmt: skip
     target = form or FORM_OF_ENDING.get(out.suffix.lower(), "folder")
     place = CONVERSIONS.get((source, target))
     if place is None:
@@ -150,6 +190,8 @@ def kind_of(path: Path) -> Source:
         return "run"
     if any(reader.can_read(path) for reader in readers()):
         return "drive"
+    if path.is_file():
+        return "log"
     raise InputError(
         f"{path}: neither a drive nor a run; `polemap info --help` names the kinds of drive"
     )
