@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import FrameSource
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.pixel_depth import of_bits, same_depth
 from polemap.drivelog.samples import Image
 from polemap.parsing.errors import named, short
-from polemap.parsing.pictures import check_size
+from polemap.parsing.pictures import check_size, stated_bits
 from polemap.parsing.text import MEGABYTE, read_bytes
 from polemap.stereo.errors import StereoError
 from polemap.stereo.rectify import Rectifier
@@ -97,10 +98,17 @@ def decode_grey(data: bytes, path: Path | str, size: tuple[int, int] | None = No
 
 @dataclass(frozen=True, slots=True)
 class ImagePairs:
-    """Pairs of image files, checked against the camera's size when they are read."""
+    """Pairs of image files, checked against the camera's size when they are read.
+
+    Attributes:
+        paths: left and right file of every row.
+        size_px: width and height.
+        bits: how many of a pixel the camera fills, where it is stated; a PGM says so itself.
+    """
 
     paths: tuple[tuple[Path, Path], ...]
     size_px: tuple[int, int]
+    bits: int | None = None
 
     def load(self, row: int) -> tuple[Image, Image]:
         """Left and right picture of a row.
@@ -108,16 +116,23 @@ class ImagePairs:
         Raises:
             InputError: one cannot be read, is of another size or of another depth.
         """
-        left, right = (read_grey(path, self.size_px) for path in self.paths[row])
+        left, right = (self._read(path) for path in self.paths[row])
         if left.dtype != right.dtype:
             raise InputError(
                 f"{self.paths[row][1]}: {right.dtype} pixels, but the left image has {left.dtype}"
             )
-        return left, right
+        return same_depth(left, right)
+
+    def _read(self, path: Path) -> Image:
+        with named(path, InputError, "image"):
+            data = read_bytes(path, LARGEST_BYTES)
+        bits = self.bits or stated_bits(data)
+        image = decode_grey(data, path, self.size_px)
+        return image if bits is None else of_bits(image, bits, path)
 
     def keep(self, rows: NDArray[np.int64]) -> ImagePairs:
         """The same source with these rows only."""
-        return ImagePairs(tuple(self.paths[int(row)] for row in rows), self.size_px)
+        return ImagePairs(tuple(self.paths[int(row)] for row in rows), self.size_px, self.bits)
 
     def check_exist(self) -> None:
         """Every file is there.

@@ -47,7 +47,9 @@ class CameraConfig(BaseModel):
     mount_x_m: float = Field(1.9, description="Left camera ahead of the rear axle, m.")
     mount_y_m: float = Field(0.15, description="Left camera left of the middle, m.")
     mount_z_m: float = Field(1.3, gt=0.0, description="Cameras above the ground, m.")
+    mount_roll_rad: float = Field(0.0, description="Left side up positive, rad.")
     mount_pitch_rad: float = Field(0.0, description="Nose down positive, rad.")
+    mount_yaw_rad: float = Field(0.0, description="To the left positive, rad.")
     frame_rate_hz: float | None = Field(
         None, gt=0.0, description="Pairs a second, Hz; without it the scenario's."
     )
@@ -78,7 +80,12 @@ class CameraConfig(BaseModel):
             (self.height_px - 1) / 2,
             self.baseline_m,
             Mounting(
-                self.mount_x_m, self.mount_y_m, self.mount_z_m, 0.0, self.mount_pitch_rad, 0.0
+                self.mount_x_m,
+                self.mount_y_m,
+                self.mount_z_m,
+                self.mount_roll_rad,
+                self.mount_pitch_rad,
+                self.mount_yaw_rad,
             ),
         )
 

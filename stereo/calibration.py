@@ -223,8 +223,8 @@ def _wrong_unit(baseline_m: float) -> str:
     text = f"the baseline is {baseline_m:.4g} m, of {BASELINE_MIN_M:g} to {BASELINE_MAX_M:g} m"
     for unit, size in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
         if 0.05 <= baseline_m * size <= 1.5:
-            return f"{text}: the calibration seems to be in {unit}, state the baseline in metres"
-    return f"{text}: state it in metres"
+            return f"{text}: the calibration seems to be in {unit}; correct it, or state baseline_m"
+    return f"{text}: correct it, or state baseline_m in metres"
 
 
 @dataclass(frozen=True, slots=True)

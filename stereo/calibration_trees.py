@@ -157,16 +157,19 @@ def _of_prefixed(tree: Tree, stated: Stated) -> StereoCalibration:
 
 
 def _size(tree: Tree, stated: Stated) -> tuple[int, int]:
+    """Width and height in pixels, as the file or, where it holds none, the user states them."""
     for name in _SIZE:
         if name in tree:
             width, height = numbers(name, tree[name], 2)
             return int(width), int(height)
+    if stated.size_px is not None and not any(name in tree for name in _WIDTH):
+        return stated.size_px
     try:
         return int(first_of(tree, _WIDTH)), int(first_of(tree, _HEIGHT))
-    except StereoError:
-        if stated.size_px is not None:
-            return stated.size_px
-        raise
+    except StereoError as error:
+        raise StereoError(
+            f"{error}: state the pictures' size, width_px and height_px, beside the calibration"
+        ) from error
     except (TypeError, ValueError) as error:
         raise StereoError("the image size holds no whole numbers") from error
 

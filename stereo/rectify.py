@@ -1,8 +1,7 @@
-"""From raw calibration to a rectified pair, and a check that rows of the pair agree."""
+"""From raw calibration to a rectified pair."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import cast
 
 import cv2
@@ -176,71 +175,3 @@ def _maps(
         if max(float(np.abs(x - column).max()), float(np.abs(y - row).max())) < _SAME_PX:
             return None
     return x, y
-
-
-@dataclass(frozen=True, slots=True)
-class VerticalDisparity:
-    """Rows of the left minus rows of the right image at matched features.
-
-    Attributes:
-        matches: how many features were compared.
-        median_px: the systematic part; a rectified pair has 0.
-        spread_px: 1.48 times the median absolute deviation from it.
-        tilt_px: change of the offset from the left to the right edge of the image, as a roll
-            between the cameras makes it.
-    """
-
-    matches: int
-    median_px: float
-    spread_px: float
-    tilt_px: float
-
-    def acceptable(self, limit_px: float = 0.5) -> bool:
-        """Whether a matcher that searches along rows will do well."""
-        return abs(self.median_px) <= limit_px and abs(self.tilt_px) <= 2 * limit_px
-
-
-def vertical_disparity(
-    left: Image, right: Image, max_disparity_px: float = 256.0, max_rows_px: float = 16.0
-) -> VerticalDisparity:
-    """Measures how far the rows of a pair are apart, by optical flow of corners.
-
-    Raises:
-        StereoError: images of different size, or fewer than 20 features that match.
-    """
-    if left.shape != right.shape:
-        raise StereoError(f"images of different size: {left.shape} and {right.shape}")
-    one, two = _as_bytes(left), _as_bytes(right)
-    corners = cv2.goodFeaturesToTrack(one, 2000, 0.01, 8)
-    if corners is None:
-        raise StereoError("the left image has no corners: vertical disparity cannot be measured")
-    start = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
-    guess = start.copy()
-    there, good, _ = cv2.calcOpticalFlowPyrLK(one, two, start, guess, winSize=(21, 21), maxLevel=5)
-    back, good_back, _ = cv2.calcOpticalFlowPyrLK(
-        two, one, there, np.array(there), winSize=(21, 21), maxLevel=5
-    )
-    here, there = start.reshape(-1, 2), np.asarray(there).reshape(-1, 2)
-    returned = np.hypot(*(np.asarray(back).reshape(-1, 2) - here).T) < 0.3
-    step = here - there
-    keep = (np.ravel(good) == 1) & (np.ravel(good_back) == 1) & returned
-    keep &= (step[:, 0] > -2) & (step[:, 0] < max_disparity_px) & (np.abs(step[:, 1]) < max_rows_px)
-    if keep.sum() < 20:
-        raise StereoError(
-            f"only {int(keep.sum())} features match between the images, 20 are needed to measure "
-            "vertical disparity"
-        )
-    offset = step[keep, 1].astype(np.float64)
-    column = here[keep, 0].astype(np.float64) / left.shape[1] - 0.5
-    median = float(np.median(offset))
-    spread = 1.4826 * float(np.median(np.abs(offset - median)))
-    near = np.abs(offset - median) <= 3 * spread + 0.1
-    tilt = float(np.polyfit(column[near], offset[near], 1)[0])
-    return VerticalDisparity(int(keep.sum()), median, spread, tilt)
-
-
-def _as_bytes(image: Image) -> NDArray[np.uint8]:
-    if image.dtype == np.uint8:
-        return cast(NDArray[np.uint8], image)
-    top = max(int(image.max()), 1)
-    return np.asarray(image.astype(np.uint32) * 255 // top, dtype=np.uint8)

@@ -24,6 +24,7 @@ VERBS = {
     "simulate": ("simulate", "Write a simulated drive."),
     "info": ("info", "Say what is inside a drive or a map."),
     "convert": ("convert", "Write drives, runs and logs in another form."),
+    "calibrate": ("calibrate", "Check and estimate the calibration of a drive."),
     "disparity": ("disparity", "Match one rectified stereo pair."),
     "detect": ("detect", "Find the poles in the frames of a drive."),
     "train": ("train", "Train the pole classifier on drives with a known pole map."),

@@ -92,10 +92,10 @@ def check_pictures(drive: Drive) -> list[Finding]:
     return found
 
 
-def match_pair(left: Image, right: Image) -> PairMatch:
+def match_pair(left: Image, right: Image, features: int = _FEATURES) -> PairMatch:
     """Follow corners of the left picture into the right one, there and back."""
     a, b = to_8_bit(left), to_8_bit(right)
-    corners = cv2.goodFeaturesToTrack(a, _FEATURES, 0.01, 10)
+    corners = cv2.goodFeaturesToTrack(a, features, 0.01, 10)
     if corners is None:
         return PairMatch(np.empty((0, 2)), np.empty((0, 2)))
     places, steps = follow(a, b, np.asarray(corners, dtype=np.float32))

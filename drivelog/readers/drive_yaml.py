@@ -98,6 +98,16 @@ class MountingPart(_Part):
     yaw_rad: float = _angle("the yaw of the camera, radians, positive looking left")
 
 
+def _bits() -> Any:
+    return Field(
+        None,
+        ge=8,
+        le=16,
+        description="how many bits of a pixel the camera fills, where files have sixteen",
+        examples=[12],
+    )
+
+
 class CameraPart(_Part):
     """The rectified stereo pair."""
 
@@ -117,6 +127,7 @@ class CameraPart(_Part):
         description="the distance from the left to the right camera, metres",
         examples=[0.30],
     )
+    bits: int | None = _bits()
     vehicle_from_camera: MountingPart = Field(
         description="where the left camera is: x_m, y_m, z_m, roll_rad, pitch_rad, yaw_rad",
         examples=["{x_m: 1.9, y_m: 0.15, z_m: 1.3}"],
@@ -143,12 +154,44 @@ class RawCameraPart(_Part):
         None,
         gt=0,
         allow_inf_nan=False,
-        description="the distance from the left to the right camera, metres",
+        description="the measured baseline, metres, where the file has another unit",
         examples=[0.30],
     )
+    width_px: int | None = Field(
+        None,
+        gt=0,
+        description="the width of the pictures, pixels, where the file holds none",
+        examples=[768],
+    )
+    height_px: int | None = Field(
+        None,
+        gt=0,
+        description="the height of the pictures, pixels, where the file holds none",
+        examples=[480],
+    )
+    bits: int | None = _bits()
     vehicle_from_camera: MountingPart = Field(
-        description="where the left camera is: x_m, y_m, z_m, roll_rad, pitch_rad, yaw_rad",
+        description="where the rectified left camera is, as for a rectified pair",
         examples=["{x_m: 1.9, y_m: 0.15, z_m: 1.3}"],
+    )
+
+
+class OdometryPart(_Part):
+    """What odometry.csv is corrected by, as `polemap calibrate` finds it."""
+
+    speed_scale: float = Field(
+        1.0,
+        ge=0.2,
+        le=5.0,
+        description="what the odometry says for a true metre; speeds are divided by it",
+        examples=[1.012],
+    )
+    delay_s: float = Field(
+        0.0,
+        ge=-5.0,
+        le=5.0,
+        description="how much later its stamps are than the motion, seconds; it is taken off",
+        examples=[0.08],
     )
 
 
@@ -227,6 +270,11 @@ class DriveYaml(_Part):
         ]
         | None
     ) = Field(None, description="the stereo pair: rectified, or raw with its calibration file")
+    odometry: OdometryPart | None = Field(
+        None,
+        description="what odometry.csv is corrected by",
+        examples=["{speed_scale: 1.012, delay_s: 0.08}"],
+    )
     gnss_antenna: AntennaPart | None = Field(
         None, description="where the GNSS antenna is", examples=["{x_m: 0.5, y_m: 0.0}"]
     )
@@ -245,7 +293,7 @@ class DriveYaml(_Part):
     def unknown_keys(self) -> list[str]:
         """Dotted names of the keys that nothing reads."""
         names = list(self.model_extra or {})
-        for part in ("vehicle", "camera", "gnss_antenna", "pole_detector"):
+        for part in ("vehicle", "camera", "odometry", "gnss_antenna", "pole_detector"):
             value = getattr(self, part)
             if value is not None:
                 names += [f"{part}.{key}" for key in value.model_extra or {}]

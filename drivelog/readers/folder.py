@@ -17,6 +17,7 @@ from polemap.drivelog.readers.columns import FILES, required_columns
 from polemap.drivelog.readers.drive_yaml import (
     LONGEST_NAME,
     DriveYaml,
+    OdometryPart,
     VehiclePart,
     read_drive_yaml,
 )
@@ -70,7 +71,7 @@ class FolderReader:
         if camera is not None or head.camera is None:
             frames = gathered.attempt(_frames, folder, head, camera, problems, findings, notes)
         scans = gathered.attempt(read_scans, folder, head.pole_detector, problems, findings)
-        odometry = gathered.attempt(_odometry, folder, problems, findings)
+        odometry = gathered.attempt(_odometry, folder, head.odometry, problems, findings, notes)
         gnss = gathered.attempt(_gnss, folder, frame, problems, findings)
         reference = gathered.attempt(_reference, folder, problems, findings)
         laps = gathered.attempt(_laps, folder, findings)
@@ -215,14 +216,32 @@ def _inside(folder: Path, text: object, index: Path, outside: list[Path] | None)
 
 
 def _odometry(
-    folder: Path, problems: Counter[str], findings: list[Finding]
+    folder: Path,
+    correction: OdometryPart | None,
+    problems: Counter[str],
+    findings: list[Finding],
+    notes: list[str],
 ) -> OdometryStream | None:
     path = folder / "odometry.csv"
     if not is_given(path):
         return None
     table = _sensor(path, ("speed_mps", "yaw_rate_radps"), ("arrival_s",), problems, findings)
-    return OdometryStream(
+    stream = OdometryStream(
         table["stamp_s"], arrivals(table, problems), table["speed_mps"], table["yaw_rate_radps"]
+    )
+    if correction is None:
+        return stream
+    scale, delay_s = correction.speed_scale, correction.delay_s
+    notes.append(
+        f"odometry.csv is corrected by drive.yaml: speeds divided by {scale:g}, stamps {delay_s:g} "
+        "s earlier"
+    )
+    stamps = stream.stamp_s - delay_s
+    return OdometryStream(
+        stamps,
+        np.maximum(stream.arrival_s, stamps),
+        stream.speed_mps / scale,
+        stream.yaw_rate_radps,
     )
 
 

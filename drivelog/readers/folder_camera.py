@@ -23,10 +23,12 @@ class FolderCamera:
     Attributes:
         rig: of the rectified pictures.
         rectifier: None where the files hold rectified pictures.
+        bits: how many of a pixel are filled, where it is stated.
     """
 
     rig: StereoRig
     rectifier: Rectifier | None = None
+    bits: int | None = None
 
     def pairs(self, paths: tuple[tuple[Path, Path], ...]) -> FrameSource:
         """The rectified pictures of these files.
@@ -35,10 +37,10 @@ class FolderCamera:
             InputError: a file is missing.
         """
         if self.rectifier is None:
-            images = ImagePairs(paths, (self.rig.width_px, self.rig.height_px))
+            images = ImagePairs(paths, (self.rig.width_px, self.rig.height_px), self.bits)
             images.check_exist()
             return images
-        images = ImagePairs(paths, self.rectifier.raw_size_px)
+        images = ImagePairs(paths, self.rectifier.raw_size_px, self.bits)
         images.check_exist()
         return RectifiedPairs(images, self.rectifier)
 
@@ -62,7 +64,7 @@ def read_camera(
             baseline_m=camera.baseline_m,
             vehicle_from_camera=mount,
         )
-        return FolderCamera(rig)
+        return FolderCamera(rig, bits=camera.bits)
     place = folder / "drive.yaml"
     names = [camera.calibration] if isinstance(camera.calibration, str) else camera.calibration
     paths = [folder / name for name in names]
@@ -72,12 +74,15 @@ def read_camera(
                 f"{place}: camera.calibration: '{name}' leads out of the drive folder; put it "
                 "inside, or write `allow_links: true`"
             )
-    stated = Stated(camera.cameras, camera.distortion_model, camera.baseline_m)
+    size = None
+    if camera.width_px is not None and camera.height_px is not None:
+        size = (camera.width_px, camera.height_px)
+    stated = Stated(camera.cameras, camera.distortion_model, camera.baseline_m, size)
     try:
         rectifier = Rectifier(read_calibration(paths, stated), mount)
     except StereoError as error:
         raise InputError(str(error)) from error
-    return FolderCamera(rectifier.rig, rectifier)
+    return FolderCamera(rectifier.rig, rectifier, camera.bits)
 
 
 def _mounting(part: MountingPart) -> Mounting:

@@ -13,11 +13,19 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.kitti import read_text
 
 
-def read_timestamps(path: Path, problems: Counter[str]) -> dict[int, float]:
+def read_timestamps(
+    path: Path, problems: Counter[str], *, leave_out: str | None = None
+) -> dict[int, float]:
     """Seconds since 1970 (the recording's clock read as UTC) by number of the file.
 
     A blank line can stand for a file without a time or be mere dirt. The clock tells: where it
     jumps by two periods over the blank line, a file was skipped.
+
+    Args:
+        path: the file.
+        problems: counts what was left out.
+        leave_out: kind of problem under which times that run back are left out, as those of the
+            OXTS unit do here and there in drives that are not synchronised; None to refuse them.
 
     Raises:
         InputError: unreadable, no time in it, or a time that does not follow the one before.
@@ -37,6 +45,10 @@ def read_timestamps(path: Path, problems: Counter[str]) -> dict[int, float]:
     for row, value in enumerate(entries, start=1):
         if value is None:
             blank += 1
+            continue
+        if value <= last and leave_out is not None:
+            problems[leave_out] += 1
+            file += 1
             continue
         if value <= last:
             raise InputError(f"{path}, line {row}: time does not follow the one before it")
@@ -66,9 +78,9 @@ def _period(entries: list[float | None]) -> float:
     return float(np.median(steps)) if steps else 0.0
 
 
-def gap_note(what: str, numbers: list[int], expected: int) -> str | None:
-    """What is missing of the numbers 0 … expected - 1, in words, or None."""
-    missing = sorted(set(range(expected)) - set(numbers))
+def gap_note(what: str, numbers: list[int], expected: int, first: int = 0) -> str | None:
+    """What is missing of the numbers first … expected - 1, in words, or None."""
+    missing = sorted(set(range(first, expected)) - set(numbers))
     if not missing:
         return None
     runs: list[list[int]] = []
@@ -79,4 +91,4 @@ def gap_note(what: str, numbers: list[int], expected: int) -> str | None:
             runs.append([number, number])
     shown = ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in runs[:4])
     more = " …" if len(runs) > 4 else ""
-    return f"{what} missing in the recording: {shown}{more} ({len(missing)} of {expected})"
+    return f"{what} missing in the recording: {shown}{more} ({len(missing)} of {expected - first})"

@@ -7,6 +7,7 @@ as they are. The poses of the left grey camera become poses of the rear axle on 
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,8 +29,10 @@ from polemap.drivelog.readers.kitti import (
     rig_of,
     rigid,
 )
+from polemap.drivelog.readers.kitti_clock import gap_note
+from polemap.drivelog.readers.kitti_pictures import NumberedPairs, find_pairs, lines_of
 from polemap.drivelog.streams import ReferenceStream
-from polemap.stereo.rig import Mounting, StereoRig
+from polemap.stereo.rig import Mounting
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +40,7 @@ Floats = NDArray[np.float64]
 POSE_SD_M = 0.05
 # cameras give ten pictures a second; times a hundred times as far apart are in another unit
 _STEP_MAX_S = 10.0
+_PAIRS = (("0", "1"), ("2", "3"))  # grey, else colour
 
 
 class KittiOdometryReader:
@@ -45,7 +49,8 @@ class KittiOdometryReader:
     name = "kitti_odometry"
 
     def can_read(self, path: Path) -> bool:
-        return (path / "times.txt").is_file() and (path / "calib.txt").is_file()
+        pictures = any((path / f"image_{left}").is_dir() for left, _ in _PAIRS)
+        return (path / "calib.txt").is_file() and (pictures or (path / "times.txt").is_file())
 
     def read(self, path: Path, *, seed: int = 0) -> Drive:
         """The drive; `seed` draws the noise of the derived odometry and GNSS.
@@ -54,52 +59,45 @@ class KittiOdometryReader:
             InputError: a file that is missing or holds something else than it should.
         """
         path = path.resolve()
-        stamps = _times(path / "times.txt")
-        pairs, notes = _pairs(path, len(stamps))
-        stamps = stamps[: len(pairs)]
-        calibration = read_calibration(path / "calib.txt")
-        p0, p1 = (entry(calibration, name, (3, 4), path / "calib.txt") for name in ("P0", "P1"))
+        problems: Counter[str] = Counter()
+        times = _times(path / "times.txt")
+        found, lines, notes = _pairs(path, times, problems)
+        file = path / "calib.txt"
+        calibration = read_calibration(file)
+        left, right = (entry(calibration, f"P{name}", (3, 4), file) for name in found.cameras)
         camera_from_lidar = np.vstack(
-            [entry(calibration, "Tr", (3, 4), path / "calib.txt"), [0.0, 0.0, 0.0, 1.0]]
+            [entry(calibration, "Tr", (3, 4), file), [0.0, 0.0, 0.0, 1.0]]
         )
-        camera_poses, pose_notes = _camera_poses(path, len(stamps))
+        known, camera_poses, pose_notes = _camera_poses(path, found.numbers, lines)
         vehicle_from_camera = _vehicle_from_camera(camera_from_lidar, camera_poses)
-        left = read_grey(pairs[0][0])
-        mount = Mounting.from_rotation(vehicle_from_camera[:3, :3], vehicle_from_camera[:3, 3])
-        rig = rig_of(p0, p1, (left.shape[1], left.shape[0]), mount, path / "calib.txt")
-        drive = _drive(
-            path,
-            stamps,
-            rig,
-            ImagePairs(pairs, (rig.width_px, rig.height_px)),
-            (*notes, *pose_notes),
+        first = read_grey(found.paths[0][0])
+        # P = K [I | t]: a colour camera stands at -t in the frame of the grey one, whose poses are
+        # known
+        shift = -np.linalg.inv(left[:, :3]) @ left[:, 3]
+        turn, place = vehicle_from_camera[:3, :3], vehicle_from_camera[:3, 3]
+        mount = Mounting.from_rotation(turn, place + turn @ shift)
+        rig = rig_of(left, right, (first.shape[1], first.shape[0]), mount, file)
+        stamps = times[list(lines.values())]
+        drive = Drive(
+            name=f"kitti_odometry_{path.name}",
+            path=path,
+            frame=EarthFrame("local", name=f"kitti_odometry_{path.name}"),
+            wheelbase_m=WHEELBASE_M,
+            rig=rig,
+            frame_stamps_s=stamps,
+            frame_arrivals_s=stamps,
+            frame_numbers=np.array(found.numbers, dtype=np.int64),
+            images=ImagePairs(found.paths, (rig.width_px, rig.height_px)),
+            notes=(*notes, *pose_notes),
+            problems=dict(problems),
         )
-        if camera_poses is None:
+        if not len(camera_poses):
             return drive
         poses = _rear_axle_poses(camera_poses, camera_from_lidar, vehicle_from_camera)
-        return _with_sensors(drive, poses, seed)
+        return _with_sensors(drive, times[known], poses, seed)
 
 
-def _drive(
-    path: Path, stamps: Floats, rig: StereoRig, images: ImagePairs, notes: tuple[str, ...]
-) -> Drive:
-    name = f"kitti_odometry_{path.name}"
-    return Drive(
-        name=name,
-        path=path,
-        frame=EarthFrame("local", name=name),
-        wheelbase_m=WHEELBASE_M,
-        rig=rig,
-        frame_stamps_s=stamps,
-        frame_arrivals_s=stamps,
-        frame_numbers=np.arange(len(stamps), dtype=np.int64),
-        images=images,
-        notes=notes,
-    )
-
-
-def _with_sensors(drive: Drive, poses: Floats, seed: int) -> Drive:
-    stamps = drive.frame_stamps_s
+def _with_sensors(drive: Drive, stamps: Floats, poses: Floats, seed: int) -> Drive:
     reference = ReferenceStream(stamps, poses, np.full(len(stamps), POSE_SD_M))
     if len(stamps) < 4:
         return replace(drive, reference=reference)
@@ -133,38 +131,80 @@ def _times(path: Path) -> Floats:
     return stamps
 
 
-def _pairs(path: Path, count: int) -> tuple[tuple[tuple[Path, Path], ...], list[str]]:
-    """Image paths of the frames; an excerpt may end early, but it may not have holes."""
-    pairs = tuple(
-        (path / "image_0" / f"{i:06d}.png", path / "image_1" / f"{i:06d}.png") for i in range(count)
-    )
-    there = [left.is_file() and right.is_file() for left, right in pairs]
-    length = count - there[::-1].index(True) if any(there) else 0
-    if not length:
-        raise InputError(f"{path}: image_0 and image_1 hold no pair of grey images (000000.png …)")
-    if not all(there[:length]):
-        pair = pairs[there.index(False)]
-        missing = next(image for image in pair if not image.is_file())
-        raise InputError(f"{missing}: image is missing, but the drive goes on after it")
-    notes = [f"only {length} of {count} frames have images"] if length < count else []
-    return pairs[:length], notes
+def _pairs(
+    path: Path, times: Floats, problems: Counter[str]
+) -> tuple[NumberedPairs, dict[int, int], list[str]]:
+    """The pairs that have a time, the line of `times` that each number has, and what to note."""
+    found = find_pairs(path, _PAIRS)
+    if found is None:
+        raise InputError(
+            f"{path}: neither image_0 and image_1 nor image_2 and image_3 hold pictures "
+            "(000000.png …)"
+        )
+    if found.one_sided:
+        problems["frames_one_side_missing"] += found.one_sided
+    lines, by_position = lines_of(found.numbers, len(times))
+    kept = [k for k, number in enumerate(found.numbers) if number in lines]
+    if not kept:
+        raise InputError(
+            f"{path / 'times.txt'}: {len(times)} times, but the pictures are numbered "
+            f"{found.numbers[0]} to {found.numbers[-1]}: keep the times of the whole sequence, or "
+            "one a picture"
+        )
+    if lost := len(found.numbers) - len(kept):
+        problems["frames_without_time"] += lost
+    found = found.take(kept)
+    notes = []
+    if found.cameras != _PAIRS[0]:
+        notes.append("no grey pictures: the colour pair image_2, image_3 is taken, turned to grey")
+    numbers = found.numbers
+    if by_position:
+        notes.append(
+            f"pictures {numbers[0]} to {numbers[-1]} have the {len(times)} times of times.txt in "
+            "their order"
+        )
+        return found, lines, notes
+    if numbers[0] > 0:
+        notes.append(f"the pictures begin with number {numbers[0]}")
+    if numbers[-1] + 1 < len(times):
+        notes.append(f"only {numbers[-1] + 1} of {len(times)} frames have images")
+    if note := gap_note("frames", list(numbers), numbers[-1] + 1, numbers[0]):
+        notes.append(note)
+    return found, lines, notes
 
 
-def _camera_poses(path: Path, count: int) -> tuple[Floats | None, list[str]]:
-    """Poses `(n, 4, 4)` of the left camera in the first one's frame, or None without a file."""
+def _camera_poses(
+    path: Path, numbers: tuple[int, ...], lines: dict[int, int]
+) -> tuple[list[int], Floats, list[str]]:
+    """Poses `(m, 4, 4)` of the left grey camera in the first one's frame, with their time's line.
+
+    Between the first and the last picture every pose counts, whether its picture is there or not.
+    """
     file = path.parent.parent / "poses" / f"{path.name}.txt"
+    none = np.empty((0, 4, 4))
     if not file.is_file():
-        note = "no poses lie beside the sequence: no reference, wheel odometry or GNSS"
-        return None, [note]
+        return [], none, ["no poses lie beside the sequence: no reference, wheel odometry or GNSS"]
     rows = read_numbers(file, 12).reshape(-1, 3, 4)
-    if len(rows) < count:
-        raise InputError(f"{file}: {len(rows)} poses for {count} frames")
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, :3] = rows[:count]
-    return poses, []
+    notes = []
+    whole = all(number == line for number, line in lines.items())
+    if len(rows) > numbers[-1]:
+        wanted = range(numbers[0], numbers[-1] + 1) if whole else numbers
+        at = {lines.get(number, number): number for number in wanted}
+    elif len(rows) == len(numbers):
+        at = {lines[number]: k for k, number in enumerate(numbers)}
+        notes.append(f"{file.name}: {len(rows)} poses for as many pictures, taken in their order")
+    else:
+        at = {lines[number]: number for number in numbers if number < len(rows)}
+        notes.append(
+            f"{file.name}: {len(rows)} poses, so only {len(at)} of {len(numbers)} pictures "
+            "have one: beyond there is no reference"
+        )
+    poses = np.tile(np.eye(4), (len(at), 1, 1))
+    poses[:, :3] = rows[list(at.values())]
+    return list(at), poses, notes
 
 
-def _vehicle_from_camera(camera_from_lidar: Floats, camera_poses: Floats | None) -> Floats:
+def _vehicle_from_camera(camera_from_lidar: Floats, camera_poses: Floats) -> Floats:
     """Mounting `(4, 4)` of the left camera: how the rear axle moves shows where "ahead" is.
 
     The rear axle moves along the car. In these recordings that is 0.4 to 0.8 degrees to the left
@@ -172,9 +212,8 @@ def _vehicle_from_camera(camera_from_lidar: Floats, camera_poses: Floats | None)
     too few poses the heading comes from the LiDAR and the pitch is taken to be level.
     """
     forward = camera_from_lidar[:3, 0]  # the LiDAR's x axis in camera axes
-    yaw, pitch = float(np.arctan2(forward[0], forward[2])), 0.0
-    if camera_poses is not None:
-        yaw, pitch = _motion_axis(camera_poses) or (yaw, pitch)
+    level = float(np.arctan2(forward[0], forward[2])), 0.0
+    yaw, pitch = _motion_axis(camera_poses) or level
     position = np.array([CAMERA_AHEAD_M, 0.0, CAMERA_ABOVE_M])
     return rigid(Mounting(yaw_rad=yaw, pitch_rad=pitch).rotation(), position)
 

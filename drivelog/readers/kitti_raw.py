@@ -1,4 +1,6 @@
-"""A KITTI raw drive (synchronised and rectified), calibration in the folder of its day.
+"""A KITTI raw drive (`_sync` or `_extract`), calibration in the folder of its day.
+
+The pictures of `_extract` are not rectified; their size tells, and they are, as they are read.
 
 Numbers of files are kept: line i of a timestamps file belongs to file i, and where files are
 missing there is a gap. OXTS gives speed, yaw rate, GNSS and the reference, all moved from the
@@ -14,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.drive import Drive
+from polemap.drivelog.drive import Drive, FrameSource
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic, grid_yaw, utm_frame
-from polemap.drivelog.images import ImagePairs, read_grey
+from polemap.drivelog.images import ImagePairs, RectifiedPairs, read_grey
 from polemap.drivelog.readers.kitti import (
     CAMERA_ABOVE_M,
     CAMERA_AHEAD_M,
@@ -30,25 +32,30 @@ from polemap.drivelog.readers.kitti import (
     rigid,
 )
 from polemap.drivelog.readers.kitti_clock import gap_note, read_timestamps
+from polemap.drivelog.readers.kitti_pictures import NumberedPairs, find_pairs
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.stereo.errors import StereoError
+from polemap.stereo.io import read_kitti_calibration
+from polemap.stereo.rectify import Rectifier
 from polemap.stereo.rig import Mounting, StereoRig
 from polemap.vehicle.pose import rotate
 
 Floats = NDArray[np.float64]
 
 _PAIRS = (("00", "01"), ("02", "03"))  # grey, else colour
+_CAMERAS = "calib_cam_to_cam.txt"
 _LATITUDE, _LONGITUDE, _YAW, _FORWARD_MPS, _UP_RADPS, _ACCURACY_M = 0, 1, 5, 8, 22, 23
 _FIELDS = 30
 
 
 class KittiRawReader:
-    """Reads `DATE/DATE_drive_NNNN_sync`."""
+    """Reads `DATE/DATE_drive_NNNN_sync` and `DATE/DATE_drive_NNNN_extract`."""
 
     name = "kitti_raw"
 
     def can_read(self, path: Path) -> bool:
         return (
-            any((path / f"image_{left}" / "timestamps.txt").is_file() for left, _ in _PAIRS)
+            any((path / f"image_{left}" / "data").is_dir() for left, _ in _PAIRS)
             or (path / "oxts" / "timestamps.txt").is_file()
         )
 
@@ -94,61 +101,79 @@ def _lever_arms(day: Path) -> tuple[Floats, Floats]:
         motions.append(
             rigid(entry(calibration, "R", (3, 3), file), entry(calibration, "T", (3,), file))
         )
-    file = day / "calib_cam_to_cam.txt"
+    file = day / _CAMERAS
     rectify = entry(read_calibration(file), "R_rect_00", (3, 3), file)
     return motions[0], rigid(rectify, np.zeros(3)) @ motions[1]
 
 
 def _frames(
     path: Path, oxts_from_camera: Floats, notes: list[str], problems: Counter[str]
-) -> tuple[NDArray[np.int64], Floats, ImagePairs | None, StereoRig | None]:
-    for left, right in _PAIRS:
-        folders = (path / f"image_{left}", path / f"image_{right}")
-        names = [{file.stem for file in (folder / "data").glob("*.png")} for folder in folders]
-        if all(names):
-            break
-    else:
+) -> tuple[NDArray[np.int64], Floats, FrameSource | None, StereoRig | None]:
+    found = find_pairs(path, _PAIRS, "data")
+    if found is None:
         notes.append("the drive has no stereo images")
         return np.empty(0, dtype=np.int64), np.empty(0), None, None
-    times = read_timestamps(folders[0] / "timestamps.txt", problems)
-    if one_sided := names[0] ^ names[1]:
-        problems["frames_one_side_missing"] += len(one_sided)
-    both = sorted(int(name) for name in names[0] & names[1] if name.isdigit())
-    known = [number for number in both if number in times]
-    if len(known) < len(both):
-        problems["frames_without_time"] += len(both) - len(known)
-    if note := gap_note("frames", known, max(times, default=-1) + 1):
+    times = read_timestamps(path / f"image_{found.cameras[0]}" / "timestamps.txt", problems)
+    if found.one_sided:
+        problems["frames_one_side_missing"] += found.one_sided
+    known = [k for k, number in enumerate(found.numbers) if number in times]
+    if len(known) < len(found.numbers):
+        problems["frames_without_time"] += len(found.numbers) - len(known)
+    if not known:
+        raise InputError(
+            f"{path}: none of the pictures {found.numbers[0]} to {found.numbers[-1]} has a time in "
+            f"image_{found.cameras[0]}/timestamps.txt ({len(times)} times): keep that of the whole "
+            "drive"
+        )
+    found = found.take(known)
+    if found.cameras != _PAIRS[0]:
+        notes.append("no grey pictures: the colour pair 02, 03 is taken, turned to grey")
+    if note := gap_note("frames", list(found.numbers), max(times) + 1):
         notes.append(note)
-    numbers = np.array(known, dtype=np.int64)
-    stamps = np.array([times[number] for number in known])
-    pairs = tuple(
-        tuple(folder / "data" / f"{number:010d}.png" for folder in folders) for number in known
-    )
-    rig = _rig(path.parent, (left, right), pairs[0][0], oxts_from_camera) if pairs else None
-    files = tuple((a, b) for a, b in pairs)
-    images = ImagePairs(files, (rig.width_px, rig.height_px)) if rig else None
+    numbers = np.array(found.numbers, dtype=np.int64)
+    stamps = np.array([times[number] for number in found.numbers])
+    rig, images = _cameras(path.parent / _CAMERAS, found, oxts_from_camera, notes)
     return numbers, stamps, images, rig
 
 
-def _rig(day: Path, pair: tuple[str, str], image: Path, oxts_from_camera: Floats) -> StereoRig:
-    """The rig of a pair; its axes relative to the car are those relative to the OXTS unit."""
-    file = day / "calib_cam_to_cam.txt"
+def _cameras(
+    file: Path, found: NumberedPairs, oxts_from_camera: Floats, notes: list[str]
+) -> tuple[StereoRig, FrameSource]:
+    """The rig of a pair and its pictures, rectified here where they are those of `_extract`.
+
+    The axes of the cameras relative to the car are those relative to the OXTS unit.
+    """
     calibration = read_calibration(file)
-    left, right = (entry(calibration, f"P_rect_{name}", (3, 4), file) for name in pair)
+    left, right = (entry(calibration, f"P_rect_{name}", (3, 4), file) for name in found.cameras)
     rotation = oxts_from_camera[:3, :3]
     # P = K [I | t]: the camera of a pair stands at -t in the frame of camera 00
     shift = -np.linalg.inv(left[:, :3]) @ left[:, 3]
     position = np.array([CAMERA_AHEAD_M, 0.0, CAMERA_ABOVE_M]) + rotation @ shift
+    mount = Mounting.from_rotation(rotation, position)
+    image = found.paths[0][0]
     first = read_grey(image)
     size = (first.shape[1], first.shape[0])
-    if f"S_rect_{pair[0]}" in calibration:
-        width, height = entry(calibration, f"S_rect_{pair[0]}", (2,), file).astype(int)
-        if size != (width, height):
-            raise InputError(
-                f"{image}: {size[0]}x{size[1]} pixels, the calibration's rectified pictures have "
-                f"{width}x{height}: these are not rectified; use the drive's _sync folder"
-            )
-    return rig_of(left, right, size, Mounting.from_rotation(rotation, position), file)
+    sizes = {}
+    for kind in ("S_rect", "S"):
+        if f"{kind}_{found.cameras[0]}" in calibration:
+            width, height = entry(calibration, f"{kind}_{found.cameras[0]}", (2,), file)
+            sizes[kind] = (int(width), int(height))
+    # sizes that are equal leave the name to tell
+    named_raw = size == sizes.get("S") and image.parents[2].name.endswith("_extract")
+    if size == sizes.get("S_rect", size) and not named_raw:
+        return rig_of(left, right, size, mount, file), ImagePairs(found.paths, size)
+    if size != sizes.get("S"):
+        known = " and ".join(f"{w}x{h} ({kind})" for kind, (w, h) in sizes.items())
+        raise InputError(
+            f"{image}: {size[0]}x{size[1]} pixels, but {file.name} knows pictures of {known}: take "
+            "the calibration of the drive's day"
+        )
+    try:
+        rectifier = Rectifier(read_kitti_calibration(file, *found.cameras), mount)
+    except StereoError as error:
+        raise InputError(str(error)) from error
+    notes.append(f"the pictures are not rectified: they are, as they are read, with {file.name}")
+    return rectifier.rig, RectifiedPairs(ImagePairs(found.paths, size), rectifier)
 
 
 def _oxts(
@@ -156,7 +181,11 @@ def _oxts(
 ) -> tuple[EarthFrame, OdometryStream | None, GnssStream | None, ReferenceStream | None]:
     folder = path / "oxts"
     numbers, rows = _oxts_rows(folder, problems)
-    times = read_timestamps(folder / "timestamps.txt", problems) if numbers else {}
+    clock = folder / "timestamps.txt"
+    if numbers and not clock.is_file():
+        notes.append(f"{len(numbers)} OXTS rows have no times ({clock} is missing)")
+        numbers = []
+    times = read_timestamps(clock, problems, leave_out="oxts_time_runs_back") if numbers else {}
     known = [i for i, number in enumerate(numbers) if number in times]
     if not known:
         notes.append("the drive has no OXTS data: no odometry, GNSS or reference")

@@ -33,6 +33,21 @@ def check_size(data: bytes) -> tuple[int, int]:
     return width, height
 
 
+def stated_bits(data: bytes) -> int | None:
+    """How many bits a PGM of sixteen-bit pixels says it fills; None where nothing is said.
+
+    The largest value that stands in its header is nine to fifteen bits; 65535 is what writers put
+    there that do not know.
+    """
+    if data[:2] not in (b"P2", b"P5"):
+        return None
+    words = _words(data)
+    if len(words) < 3 or len(words[2]) > 5 or not words[2].isdigit():
+        return None
+    bits = int(words[2]).bit_length()
+    return bits if 8 < bits < 16 else None
+
+
 def _size(data: bytes) -> tuple[int, int]:
     if data.startswith(_PNG):
         if data[12:16] != b"IHDR":
@@ -85,8 +100,12 @@ def _tiff(data: bytes) -> tuple[int, int]:
 
 def _netpbm(data: bytes) -> tuple[int, int]:
     """The two numbers after the mark; comments run from # to the end of their line."""
-    lines = (line.partition(b"#")[0] for line in data[2:4096].splitlines())
-    words = b" ".join(lines).split()
+    words = _words(data)
     if max(map(len, words[:2])) > 9:
         raise ValueError("too many digits")
     return int(words[0]), int(words[1])
+
+
+def _words(data: bytes) -> list[bytes]:
+    lines = (line.partition(b"#")[0] for line in data[2:4096].splitlines())
+    return b" ".join(lines).split()

@@ -77,7 +77,9 @@ def test_a_measured_baseline_stands_for_a_translation_in_squares(tmp_path: Path)
     values = opencv_values(calibration)
     values["T"] = 1000.0 * values["T"]
     path = write_opencv(tmp_path / "c.yml", values)
-    with pytest.raises(Exception, match="seems to be in millimetres, state the baseline in metres"):
+    with pytest.raises(
+        Exception, match="seems to be in millimetres; correct it, or state baseline_m"
+    ):
         read_calibration(path)
     baseline = calibration.baseline_m
     assert_same(read_calibration(path, Stated(baseline_m=baseline)), calibration)

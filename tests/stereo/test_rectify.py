@@ -10,7 +10,7 @@ import yaml
 from polemap.stereo.calibration import CameraCalibration, StereoCalibration
 from polemap.stereo.errors import StereoError
 from polemap.stereo.io import read_calibration, read_kitti_calibration
-from polemap.stereo.rectify import Rectifier, rectifying_rotations, vertical_disparity
+from polemap.stereo.rectify import Rectifier, rectifying_rotations
 from tests.stereo.calibrations import LENSES, make_calibration, write_ros
 
 
@@ -93,31 +93,6 @@ def test_ros_files_come_back_as_the_same_geometry(tmp_path):
         read_calibration(paths)
 
 
-def textured(seed=4, shape=(240, 360)):
-    rng = np.random.default_rng(seed)
-    return cv2.GaussianBlur(rng.uniform(0, 255, shape), (0, 0), 2.0)
-
-
-@pytest.mark.parametrize("offset", [0.0, 1.5, -3.0])
-def test_vertical_disparity_is_measured(offset):
-    image = textured()
-    image = ((image - image.min()) / np.ptp(image) * 255).astype(np.float32)
-    move = np.array([[1, 0, -12.0], [0, 1, -offset]], dtype=np.float64)
-    right = cv2.warpAffine(image, move, (360, 240), borderMode=cv2.BORDER_REFLECT)
-    found = vertical_disparity(image.astype(np.uint8), right.astype(np.uint8))
-    assert found.median_px == pytest.approx(offset, abs=0.1)
-    assert abs(found.tilt_px) < 0.2
-    assert found.acceptable() == (offset == 0)
-
-
-def test_recorded_pairs_are_rectified(recording):
-    folder = recording("kitti_odometry") / "sequences" / "03"
-    pair = [cv2.imread(str(folder / f"image_{k}" / "000010.png"), 0) for k in (0, 1)]
-    found = vertical_disparity(*pair)
-    assert found.matches > 200
-    assert abs(found.median_px) < 0.3
-
-
 def test_what_is_no_calibration_is_refused(tmp_path):
     good = make_calibration()
     with pytest.raises(StereoError, match="exchange the cameras"):
@@ -137,5 +112,3 @@ def test_what_is_no_calibration_is_refused(tmp_path):
     (tmp_path / "c.txt").write_text("S_00: 3 x\n")
     with pytest.raises(StereoError, match=r"c\.txt: line 'S_00:'"):
         read_kitti_calibration(tmp_path / "c.txt")
-    with pytest.raises(StereoError, match="no corners"):
-        vertical_disparity(np.zeros((50, 50), np.uint8), np.zeros((50, 50), np.uint8))

@@ -1,0 +1,290 @@
+"""All that a drive says of its calibration, on one screen: pictures in, quantities out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.calibration.ground import GroundPlane, ground_mounting, ground_planes
+from polemap.calibration.motion import CameraSteps, camera_steps, heading
+from polemap.calibration.odometry import (
+    OdometryErrors,
+    odometry_errors,
+    of_camera,
+    of_reference_poses,
+)
+from polemap.calibration.rows import RowAgreement, check_rows
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.findings import Finding
+from polemap.drivelog.plausibility.odometer import of_odometry
+from polemap.stereo.config import StereoConfig
+from polemap.stereo.rig import Mounting
+
+Floats = NDArray[np.float64]
+
+_MOUNT = "camera.vehicle_from_camera."
+# smaller differences change neither a map nor a pose
+_NEGLIGIBLE = {
+    f"{_MOUNT}z_m": 0.03,
+    f"{_MOUNT}roll_rad": 0.01,
+    f"{_MOUNT}pitch_rad": 0.005,
+    f"{_MOUNT}yaw_rad": 0.004,
+    "odometry.speed_scale": 0.005,
+    "odometry.delay_s": 0.015,
+}
+_SIGNIFICANT = 3.0
+_ROWS_PX, _ACROSS_PX = 0.5, 1.0
+_RUN = 30
+# a standing car adds nothing, and parked it sees no road
+_MOVING_MPS = 1.0
+# a road that bends leaves the corridor in which it is looked for
+_STRAIGHT_PER_M = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One number of a calibration.
+
+    Attributes:
+        name: where it stands in drive.yaml.
+        stated: what the drive says.
+        found, sd: what its pictures and streams say.
+        source: how it was found.
+    """
+
+    name: str
+    stated: float
+    found: float
+    sd: float
+    source: str
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the drive and its calibration disagree beyond chance and beyond notice."""
+        limit = max(_SIGNIFICANT * self.sd, _NEGLIGIBLE[self.name])
+        return bool(abs(self.found - self.stated) > limit)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What was found, and what it was found from.
+
+    Attributes:
+        rows: agreement of the pair's rows, None without pictures.
+        quantities: what could be estimated.
+        missing: what could not, and why.
+        odometry: against each witness; the first one is believed.
+        planes: road per frame looked at, with `plane_rows` of the drive.
+        steps: motion of the camera.
+    """
+
+    rows: RowAgreement | None
+    quantities: tuple[Quantity, ...]
+    missing: tuple[str, ...]
+    odometry: tuple[OdometryErrors, ...]
+    planes: tuple[GroundPlane | None, ...]
+    plane_rows: tuple[int, ...]
+    steps: CameraSteps | None
+
+    def mounting(self, stated: Mounting) -> Mounting:
+        """The stated mounting with what was found in its place."""
+        found = {q.name.removeprefix(_MOUNT): q.found for q in self.quantities
+                 if q.name.startswith(_MOUNT)}  # fmt: skip
+        return replace(stated, **found)
+
+    def findings(self) -> list[Finding]:
+        """Where the drive contradicts its calibration."""
+        found = _row_findings(self.rows) if self.rows else []
+        for quantity in self.quantities:
+            if quantity.contradicts:
+                found.append(
+                    Finding(
+                        "calibration", "warning", quantity.name,
+                        f"stated {quantity.stated:.4g}, found {quantity.found:.4g} +- "
+                        f"{quantity.sd:.2g} ({quantity.source})",
+                        f"the same within {_SIGNIFICANT:g} standard deviations",
+                        "measure it again, or take over what was found",
+                    )
+                )  # fmt: skip
+        return found
+
+
+def _row_findings(rows: RowAgreement) -> list[Finding]:
+    if abs(rows.median_px) <= _ROWS_PX and not rows.across_px > _ACROSS_PX:
+        return []
+    return [
+        Finding(
+            "rectification", "warning", "camera",
+            f"rows differ by {rows.median_px:.2f} px in the median and by {rows.across_px:.1f} px "
+            "between parts of the picture",
+            f"{_ROWS_PX:g} px and {_ACROSS_PX:g} px at most", "calibrate the pair again",
+        )
+    ]  # fmt: skip
+
+
+def calibrate(
+    drive: Drive,
+    config: StereoConfig,
+    *,
+    pairs: int = 40,
+    frames: int = 240,
+    seed: int = 0,
+    advance: Callable[[int], None] = lambda _steps: None,
+) -> Calibration:
+    """Checks and estimates the calibration of a drive.
+
+    Args:
+        drive: with pictures, or with odometry and a reference.
+        config: of the stereo matcher that finds the road.
+        pairs: frames from all over the drive whose rows and road are looked at.
+        frames: frames in runs of thirty through which the camera's motion is followed.
+        seed: of the samples that robust fits draw.
+        advance: called with the number of frames done.
+
+    Raises:
+        InputError: nothing to calibrate, a picture that cannot be read, or too few features.
+    """
+    quantities: list[Quantity] = []
+    missing: list[str] = []
+    rows = None
+    planes: list[GroundPlane | None] = []
+    chosen: list[int] = []
+    steps = None
+    drive_rig = drive.rig
+    if drive.has_frames and drive_rig is not None:
+        chosen = spread_rows(drive, pairs)
+        rows = check_rows(drive, chosen)
+        advance(len(chosen))
+        chosen = spread_rows(drive, pairs, straight=True)
+        for row in chosen:
+            planes += ground_planes(drive, [row], config, seed)
+            advance(1)
+        mount = drive_rig.vehicle_from_camera
+        quantities += _from_ground(drive, chosen, planes, mount, missing)
+        level = Calibration(rows, tuple(quantities), (), (), (), (), None).mounting(mount)
+        runs = _runs(drive, frames)
+        parts = []
+        for run in runs:
+            parts.append(camera_steps(drive, [run]))
+            advance(len(run))
+        steps = CameraSteps.joined(parts)
+        quantities += _from_motion(steps, level, mount, missing)
+    errors = _odometry(drive, steps, quantities, missing)
+    if not quantities and rows is None:
+        raise InputError(
+            f"drive {drive.name}: nothing to calibrate: it needs stereo pictures, or odometry with "
+            f"a reference ({'; '.join(missing)})"
+        )
+    return Calibration(
+        rows, tuple(quantities), tuple(missing), tuple(errors), tuple(planes), tuple(chosen), steps
+    )
+
+
+def spread_rows(drive: Drive, count: int, *, straight: bool = False) -> list[int]:
+    """Rows from all over the drive, of a moving car (that goes straight) where odometry tells."""
+    rows = np.arange(len(drive.frame_stamps_s))
+    odometry = drive.odometry
+    if odometry is not None and len(odometry) > 1:
+        speed = np.interp(drive.frame_stamps_s, odometry.stamp_s, odometry.speed_mps)
+        turn = np.interp(drive.frame_stamps_s, odometry.stamp_s, odometry.yaw_rate_radps)
+        kept = np.abs(speed) > _MOVING_MPS
+        if straight:
+            kept &= np.abs(turn) < _STRAIGHT_PER_M * np.abs(speed)
+        rows = rows[kept] if np.count_nonzero(kept) >= min(count, 10) else rows
+    pick = np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int))
+    return [int(row) for row in rows[pick]]
+
+
+def _pushed(drive: Drive, stamps_s: Floats) -> Floats | None:
+    """Accelerations `(n, 2)` along and to the left, from half a second of odometry each."""
+    if drive.odometry is None or len(drive.odometry) < 3:
+        return None
+    odometer = of_odometry(drive.odometry)
+    before, _, known = odometer.spans(stamps_s - 0.5, stamps_s)
+    after, turn, known_after = odometer.spans(stamps_s, stamps_s + 0.5)
+    along = np.where(known & known_after, (after - before) / 0.25, 0.0)
+    left = np.where(known_after, turn / 0.5 * after / 0.5, 0.0)
+    return np.stack([along, left], axis=1)
+
+
+def _runs(drive: Drive, frames: int) -> list[range]:
+    """Runs of neighbouring rows from all over the drive."""
+    count = len(drive.frame_stamps_s)
+    if count <= frames:
+        return [range(count)]
+    runs = max(frames // _RUN, 1)
+    starts = np.linspace(0, count - _RUN, runs).astype(int)
+    return [range(start, min(start + _RUN, count)) for start in starts.tolist()]
+
+
+def _from_ground(
+    drive: Drive,
+    rows: list[int],
+    planes: list[GroundPlane | None],
+    mount: Mounting,
+    missing: list[str],
+) -> list[Quantity]:
+    stamps = drive.frame_stamps_s[rows]
+    ground = ground_mounting(stamps, planes, _pushed(drive, stamps))
+    if ground is None:
+        seen = sum(plane is not None for plane in planes)
+        missing.append(
+            f"height, pitch and roll: a flat road fills the car's way in {seen} of {len(planes)} "
+            "frames, 5 are needed"
+        )
+        return []
+    source = f"road plane in {ground.frames[0]} of {ground.frames[1]} frames"
+    return [
+        Quantity(f"{_MOUNT}z_m", mount.z_m, ground.height_m, ground.height_sd_m, source),
+        Quantity(f"{_MOUNT}pitch_rad", mount.pitch_rad, ground.pitch_rad, ground.pitch_sd_rad,
+                 source),
+        Quantity(f"{_MOUNT}roll_rad", mount.roll_rad, ground.roll_rad, ground.roll_sd_rad, source),
+    ]  # fmt: skip
+
+
+def _from_motion(
+    steps: CameraSteps, level: Mounting, mount: Mounting, missing: list[str]
+) -> list[Quantity]:
+    ahead = heading(steps, level)
+    if ahead is None or not isfinite(ahead.yaw_sd_rad):
+        missing.append(
+            f"yaw: of {len(steps)} steps of the camera fewer than 10, or too short a time, are "
+            "straight"
+        )
+        return []
+    return [
+        Quantity(f"{_MOUNT}yaw_rad", mount.yaw_rad, ahead.yaw_rad, ahead.yaw_sd_rad,
+                 f"direction of motion in {ahead.steps} straight steps")
+    ]  # fmt: skip
+
+
+def _odometry(
+    drive: Drive, steps: CameraSteps | None, quantities: list[Quantity], missing: list[str]
+) -> list[OdometryErrors]:
+    """Against the reference first, and against the camera's motion."""
+    if drive.odometry is None:
+        missing.append("odometry: the drive has none")
+        return []
+    witnesses = [of_reference_poses(drive)]
+    if steps is not None and drive.rig is not None:
+        witnesses.append(of_camera(steps, drive.rig.vehicle_from_camera))
+    errors = [odometry_errors(drive, witness) for witness in witnesses if witness is not None]
+    known = [error for error in errors if error is not None and isfinite(error.speed_scale_sd)]
+    if not known:
+        missing.append("odometry: neither a reference nor the camera's motion lasts long enough")
+        return []
+    best = known[0]
+    source = f"against {best.against}, {best.spans} spans"
+    quantities.append(
+        Quantity("odometry.speed_scale", 1.0, best.speed_scale, best.speed_scale_sd, source)
+    )
+    if isfinite(best.delay_s):
+        quantities.append(Quantity("odometry.delay_s", 0.0, best.delay_s, best.delay_sd_s, source))
+    else:
+        missing.append("odometry delay: speed and turn rate hardly change")
+    return known
