@@ -140,19 +140,11 @@ def command(
         old = read_map(update, allow_empty=True) if update is not None else None
         for note in old.notes if old is not None else ():
             typer.echo(f"note: {update}: {note}")
-        frame = old.frame if old is not None else opened[0].frame
-        folder = out.parent / f".{out.name}.checkpoints"
+        place = _Place(out.parent / f".{out.name}.checkpoints", workers, scheduler)
         if workers is None and scheduler is None:
             built = _build(opened, settings, old, align)
         else:
-            names = unique_names(opened)
-            text = settings.model_dump_json()
-            mapping = None if topics is None else str(topics.resolve())
-            tasks = [
-                DriveTask(str(path.resolve()), name, lap, seed, frame, text, mapping)
-                for path, name in zip(drives, names, strict=True)
-            ]
-            place = _Place(folder, workers, scheduler)
+            tasks = _tasks(drives, opened, lap, seed, settings, old, topics)
             built = _build_in_processes(opened, tasks, settings, old, align, place)
         if not len(built.pole_map):
             raise InputError(
@@ -160,14 +152,9 @@ def command(
                 "--set polemap.mapping.observations_min"
             )
         write_map(built.pole_map, out)
-        if folder.is_dir():
-            clear(folder)
-        if picture is not None or layer is not None:
-            routes = [route_localizability(built.pole_map, drive, settings) for drive in opened]
-            if layer is not None:
-                write_localizability(routes, built.pole_map.frame, layer)
-            if picture is not None:
-                draw_map(built.pole_map, routes, picture)
+        if place.checkpoints.is_dir():
+            clear(place.checkpoints)
+        _show(built.pole_map, opened, settings, picture, layer)
         _say(built, opened, out)
 
 
@@ -225,6 +212,25 @@ def _build(drives: list[Drive], settings: Settings, old: PoleMap | None, align: 
         )
 
 
+def _tasks(
+    paths: list[Path],
+    drives: list[Drive],
+    lap: str | None,
+    seed: int,
+    settings: Settings,
+    old: PoleMap | None,
+    topics: Path | None,
+) -> list[DriveTask]:
+    """A task a drive, for workers that open it by themselves."""
+    frame = old.frame if old is not None else drives[0].frame
+    text = settings.model_dump_json()
+    mapping = None if topics is None else str(topics.resolve())
+    return [
+        DriveTask(str(path.resolve()), name, lap, seed, frame, text, mapping)
+        for path, name in zip(paths, unique_names(drives), strict=True)
+    ]
+
+
 def _build_in_processes(
     drives: list[Drive],
     tasks: list[DriveTask],
@@ -248,6 +254,23 @@ def _build_in_processes(
                 run=on_workers(workers, advance),
                 tile_m=TILE_M,
             )
+
+
+def _show(
+    pole_map: PoleMap,
+    drives: list[Drive],
+    settings: Settings,
+    picture: Path | None,
+    layer: Path | None,
+) -> None:
+    """Bounds on the pose along the routes, as a layer and in a picture."""
+    if picture is None and layer is None:
+        return
+    routes = [route_localizability(pole_map, drive, settings) for drive in drives]
+    if layer is not None:
+        write_localizability(routes, pole_map.frame, layer)
+    if picture is not None:
+        draw_map(pole_map, routes, picture)
 
 
 def _say(built: BuiltMap, drives: list[Drive], out: Path) -> None:

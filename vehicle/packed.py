@@ -25,13 +25,9 @@ Upper = tuple[float, ...]
 SIZE = 9
 _ROWS, _COLUMNS = np.triu_indices(SIZE)
 # where entry (i, j) stands in the upper triangle
-INDEX = tuple(
-    tuple(
-        next(k for k in range(len(_ROWS)) if (_ROWS[k], _COLUMNS[k]) == (min(i, j), max(i, j)))
-        for j in range(SIZE)
-    )
-    for i in range(SIZE)
-)
+_NUMBER = np.zeros((SIZE, SIZE), dtype=np.int64)
+_NUMBER[_ROWS, _COLUMNS] = _NUMBER[_COLUMNS, _ROWS] = np.arange(len(_ROWS))
+INDEX: tuple[tuple[int, ...], ...] = tuple(map(tuple, _NUMBER.tolist()))
 _PAIRS = tuple((int(i), int(j)) for i, j in zip(_ROWS, _COLUMNS, strict=True))
 
 
@@ -43,7 +39,7 @@ class GaussMarkov(NamedTuple):
 
 
 class CtrvNoise(NamedTuple):
-    """Densities of the process noise; see `motion.ctrv_process_noise`."""
+    """Spectral densities of what CTRV lacks."""
 
     acceleration_m2ps3: float
     yaw_acceleration_rad2ps3: float
@@ -126,12 +122,54 @@ def arc_displacement(
 def ctrv_step(
     pose: Pose, speed_mps: float, yaw_rate_radps: float, dt_s: float, slip_rad_per_mps2: float = 0.0
 ) -> Pose:
-    """A pose at constant speed and yaw rate , the yaw wrapped."""
+    """A pose at constant speed and yaw rate, the yaw wrapped."""
     x, y, yaw = pose
     turn = yaw_rate_radps * dt_s
     slip = -slip_rad_per_mps2 * speed_mps * yaw_rate_radps
     east, north = arc_displacement(yaw, speed_mps * dt_s, turn, slip)
     return x + east, y + north, wrap(yaw + 0.5 * turn + 0.5 * turn)
+
+
+def _arc_derivatives(yaw: float, v: float, w: float, dt_s: float, slip: float) -> tuple[float, ...]:
+    """Half the turn, chord, cosine and sine of its way; d(x) and then d(y) by yaw, v and w."""
+    half = 0.5 * w * dt_s
+    h2 = half * half
+    if h2 < 2.5e-3:
+        ratio = 1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0 * (1.0 - h2 / 72.0)))
+        slope = -half / 3.0 * (1.0 - h2 / 10.0 * (1.0 - h2 / 28.0 * (1.0 - h2 / 54.0)))
+    else:
+        ratio = sin(half) / half
+        slope = (half * cos(half) - sin(half)) / h2
+    way = yaw + half - slip * v * w
+    c, s = cos(way), sin(way)
+    length = v * dt_s
+    chord = length * ratio
+    a, b = -chord * s, dt_s * ratio * c + slip * w * chord * s
+    d, e = chord * c, dt_s * ratio * s - slip * w * chord * c
+    g = 0.5 * dt_s * (length * slope * c - chord * s) + slip * v * chord * s
+    f = 0.5 * dt_s * (length * slope * s + chord * c) - slip * v * chord * c
+    return half, chord, c, s, a, b, g, d, e, f
+
+
+def _process_noise(v: float, w: float, dt_s: float, noise: CtrvNoise) -> tuple[float, ...]:
+    """Covariances uu, uv, nn, ny, nw, yy, yw that white accelerations add along (u) and across (n)
+    the path, to yaw, speed and yaw rate (y, v, w), and the drift of the yaw. The chains of
+    integrals are exact on a straight, and positive semi-definite always.
+    """
+    qa, qw = noise.acceleration_m2ps3, noise.yaw_acceleration_rad2ps3
+    dt2 = dt_s * dt_s
+    dt3 = dt2 * dt_s
+    v2 = v * v
+    return (
+        qa * dt3 / 3.0 + noise.along_s * v2 * dt_s,
+        qa * dt2 / 2.0,
+        qw * v2 * dt2 * dt3 / 20.0 + noise.slip_s5pm2 * (v2 * w) * (v2 * w) * dt_s,
+        qw * v * dt2 * dt2 / 8.0,
+        qw * v * dt3 / 6.0,
+        qw * dt3 / 3.0,
+        qw * dt2 / 2.0,
+        (noise.yaw_rad2ps * min(v2, 1.0) + noise.turn_s * w * w) * dt_s,
+    )
 
 
 def ctrv_predict(
@@ -144,24 +182,8 @@ def ctrv_predict(
             bend, rad per m/s^2. Zero is plain CTRV.
     """
     x, y, yaw, v, w, scale, offset, fix_e, fix_n = mean
-    half = 0.5 * w * dt_s
-    h2 = half * half
-    if h2 < 2.5e-3:
-        ratio = 1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0 * (1.0 - h2 / 72.0)))
-        slope = -half / 3.0 * (1.0 - h2 / 10.0 * (1.0 - h2 / 28.0 * (1.0 - h2 / 54.0)))
-    else:
-        ratio = sin(half) / half
-        slope = (half * cos(half) - sin(half)) / h2
-    heading = yaw + half
-    way = heading - slip * v * w
-    c, s = cos(way), sin(way)
-    length = v * dt_s
-    chord = length * ratio
     # rows of the transition F: x by (yaw, v, w) is (a, b, g); y by the same is (d, e, f)
-    a, b = -chord * s, dt_s * ratio * c + slip * w * chord * s
-    d, e = chord * c, dt_s * ratio * s - slip * w * chord * c
-    g = 0.5 * dt_s * (length * slope * c - chord * s) + slip * v * chord * s
-    f = 0.5 * dt_s * (length * slope * s + chord * c) - slip * v * chord * c
+    half, chord, c, s, a, b, g, d, e, f = _arc_derivatives(yaw, v, w, dt_s, slip)
     p00, p01, p02, p03, p04, p05, p06, p07, p08 = upper[:9]
     p11, p12, p13, p14, p15, p16, p17, p18 = upper[9:17]
     p22, p23, p24, p25, p26, p27, p28 = upper[17:24]
@@ -185,16 +207,7 @@ def ctrv_predict(
     r22 = p22 + dt_s * p24
     r23 = p23 + dt_s * p34
     r24 = p24 + dt_s * p44
-    # process noise along (u) and across (n) the path, as in `motion`
-    qa, qw = noise.acceleration_m2ps3, noise.yaw_acceleration_rad2ps3
-    dt2 = dt_s * dt_s
-    dt3 = dt2 * dt_s
-    v2 = v * v
-    quu, quv = qa * dt3 / 3.0 + noise.along_s * v2 * dt_s, qa * dt2 / 2.0
-    bend = v2 * w
-    qnn = qw * v2 * dt2 * dt3 / 20.0 + noise.slip_s5pm2 * bend * bend * dt_s
-    yaw_rad2ps = noise.yaw_rad2ps * min(v2, 1.0) + noise.turn_s * w * w
-    qny, qnw = qw * v * dt2 * dt2 / 8.0, qw * v * dt3 / 6.0
+    quu, quv, qnn, qny, qnw, qyy, qyw, drift = _process_noise(v, w, dt_s, noise)
     new = (
         r00 + a * r02 + b * r03 + g * r04 + c * c * quu + s * s * qnn,
         r01 + d * r02 + e * r03 + f * r04 + c * s * (quu - qnn),
@@ -213,20 +226,20 @@ def ctrv_predict(
         j * (p16 + d * p26 + e * p36 + f * p46),
         k * (p17 + d * p27 + e * p37 + f * p47),
         k * (p18 + d * p28 + e * p38 + f * p48),
-        r22 + dt_s * r24 + qw * dt3 / 3.0 + yaw_rad2ps * dt_s,
+        r22 + dt_s * r24 + qyy + drift,
         r23,
-        r24 + qw * dt2 / 2.0,
+        r24 + qyw,
         i * (p25 + dt_s * p45),
         j * (p26 + dt_s * p46),
         k * (p27 + dt_s * p47),
         k * (p28 + dt_s * p48),
-        p33 + qa * dt_s,
+        p33 + noise.acceleration_m2ps3 * dt_s,
         p34,
         i * p35,
         j * p36,
         k * p37,
         k * p38,
-        p44 + qw * dt_s,
+        p44 + noise.yaw_acceleration_rad2ps3 * dt_s,
         i * p45,
         j * p46,
         k * p47,
@@ -242,7 +255,7 @@ def ctrv_predict(
         k * k * p78,
         k * k * p88 + fix_m2,
     )
-    ahead = (x + chord * c, y + chord * s, wrap(heading + half), v, w)
+    ahead = (x + chord * c, y + chord * s, wrap(yaw + half + half), v, w)
     return (*ahead, i * scale, j * offset, k * fix_e, k * fix_n), new
 
 

@@ -24,8 +24,9 @@ from polemap.detect.constants import (
 )
 from polemap.detect.features import Profiles, measure_features
 from polemap.detect.ground import Ground, fit_ground
-from polemap.detect.hypotheses import Hypotheses, find_hypotheses, find_slices
+from polemap.detect.hypotheses import Hypotheses, find_hypotheses
 from polemap.detect.refine import refine_disparity
+from polemap.detect.slices import find_slices
 from polemap.detect.visibility import visible_region
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.landmark_kind import LandmarkKind

@@ -1,8 +1,7 @@
-"""Depth edges to pole hypotheses: pairs of flanks, grouped along an upright line.
+"""Slices to pole hypotheses: grouped along an upright line.
 
-A flank left and a flank right of one disparity bound a slice of an object in one image row. Slices
-above each other form a hypothesis. Hypotheses of one line are joined over gaps (foliage, a car in
-front), and the columns of their flanks are sharpened on the image gradient.
+Slices above each other form a hypothesis. Hypotheses of one line are joined over gaps (foliage, a
+car in front), and the columns of their flanks are sharpened on the image gradient.
 
 Source: S16, section III-A (contours of depth edges grouped to hypotheses).
 """
@@ -14,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.detect.components import components
 from polemap.detect.config import DetectionConfig
 from polemap.detect.constants import BASE_MAX_M, HYPOTHESES_MAX, LEAN_MAX_RAD
 from polemap.detect.ground import Ground
+from polemap.detect.slices import Slices
 from polemap.drivelog.columns import Columns
-from polemap.stereo.depth_edges import DepthEdges
 from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
@@ -31,21 +29,6 @@ _REACH_PX = 3  # and so many columns
 _DOWN = np.repeat(np.arange(1, _LINK_ROWS + 1), 2 * _REACH_PX + 1)
 _ASIDE = np.tile(np.arange(-_REACH_PX, _REACH_PX + 1), _LINK_ROWS)
 _SLICES_MIN = 3  # of a hypothesis
-_RANKS = 6  # right flanks that are tried for a left one
-
-
-@dataclass(frozen=True, slots=True)
-class Slices(Columns):
-    """Row slices of thin objects: `(n,)` row, first and last column, disparity, flags."""
-
-    row_px: Floats
-    left_px: Floats
-    right_px: Floats
-    disparity_px: Floats
-    far_left_px: Floats
-    far_right_px: Floats
-    occluding_left: Floats
-    occluding_right: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,45 +64,6 @@ class Hypotheses(Columns):
     far_right_px: Floats
     occluding_left: Floats
     occluding_right: Floats
-
-
-def find_slices(
-    left: DepthEdges, right: DepthEdges, rig: StereoRig, config: DetectionConfig
-) -> Slices:
-    """Every left flank with the nearest right flank of its disparity in the same row."""
-    stride = float(rig.width_px + 4096)
-    key_left = left.row_px * stride + left.column_px
-    key_right = right.row_px * stride + right.column_px
-    partner = np.full(len(left), -1)
-    first = np.searchsorted(key_right, key_left - 0.5)
-    right_rows = np.append(right.row_px, -1)  # beyond the last there is none
-    open_ = np.arange(len(left))  # no partner yet, and there may be one farther right
-    for rank in range(_RANKS):
-        at = np.minimum(first[open_] + rank, len(right))
-        same = right_rows[at] == left.row_px[open_]
-        open_, at = open_[same], at[same]
-        near = left.near_px[open_]
-        width = right.column_px[at] - left.column_px[open_] + 1.0
-        within = width * rig.baseline_m / near <= 1.3 * config.width_max_m
-        alike = within & (np.abs(right.near_px[at] - near) <= 1.0 + 0.04 * near)
-        partner[open_[alike]] = at[alike]
-        open_ = open_[within & ~alike]
-    one = np.flatnonzero(partner >= 0)
-    two = partner[one]
-    disparity = 0.5 * (left.near_px[one] + right.near_px[two]).astype(np.float64)
-    depth = rig.focal_px * rig.baseline_m / disparity
-    near = (depth <= config.range_max_m * 1.1) & (depth >= config.range_min_m * 0.8)
-    one, two, disparity = one[near], two[near], disparity[near]
-    return Slices(
-        left.row_px[one].astype(np.float64),
-        left.column_px[one].astype(np.float64),
-        right.column_px[two].astype(np.float64),
-        disparity,
-        left.far_px[one].astype(np.float64),
-        right.far_px[two].astype(np.float64),
-        left.occluding[one].astype(np.float64),
-        right.occluding[two].astype(np.float64),
-    )
 
 
 def find_hypotheses(
@@ -302,3 +246,29 @@ def _keep(
         tallest = np.argsort(-(kept.slices / kept.disparity_px))[:HYPOTHESES_MAX]
         kept = kept.take(np.sort(tallest))
     return kept
+
+
+def components(n: int, one: Ints, two: Ints) -> tuple[Ints, int]:
+    """Components of the links `one[i] - two[i]` between n nodes: labels `(n,)` and their number.
+
+    Labels follow each component's first node. Every node points to a node before it or to itself;
+    where the ends of a link lead to different roots, the later root is pointed to the earlier
+    one. scipy gives the same labels, but needs longer to take in a graph of a thousand nodes than
+    this needs for all of it.
+
+    Source: Y. Shiloach, U. Vishkin, An O(log n) parallel connectivity algorithm, J. Algorithms
+    3(1), 1982: hooking and shortcutting.
+    """
+    nodes = np.arange(n)
+    root = nodes.copy()
+    while len(one):
+        a, b = root[one], root[two]
+        differ = a != b
+        one, two, a, b = one[differ], two[differ], a[differ], b[differ]
+        root[np.maximum(a, b)] = np.minimum(a, b)
+        above = root[root]
+        while not np.array_equal(above, root):
+            root, above = above, above[above]
+    first = root == nodes
+    number = np.cumsum(first)
+    return (number - 1)[root], int(number[-1]) if n else 0

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from polemap.detect.components import components
+from polemap.detect.hypotheses import components
 
 
 @given(n=st.integers(1, 200), share=st.floats(0.0, 2.5), near=st.booleans(), seed=st.integers(0))

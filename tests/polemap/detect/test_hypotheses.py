@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polemap.detect import hypotheses
+from polemap.detect import hypotheses, slices
 from polemap.detect.config import DetectionConfig
-from polemap.detect.hypotheses import Slices, find_slices
+from polemap.detect.slices import Slices, find_slices
 from polemap.stereo.depth_edges import DepthEdges
 from tests.polemap.street import RIG
 
@@ -39,7 +39,7 @@ def test_a_left_flank_takes_the_first_right_one_of_its_disparity(
     expected = []
     for row, column, near in zip(left.row_px, left.column_px, left.near_px, strict=True):
         beyond = np.flatnonzero((right.row_px == row) & (right.column_px >= column - 0.5))
-        for at in beyond[: hypotheses._RANKS]:
+        for at in beyond[: slices._RANKS]:
             width = right.column_px[at] - column + np.float32(1.0)
             wide = width * RIG.baseline_m / near > 1.3 * CONFIG.width_max_m
             if not wide and abs(right.near_px[at] - near) <= 1.0 + 0.04 * near:
