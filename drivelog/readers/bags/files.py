@@ -12,7 +12,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.bags import mcap_file, rosbag1_file, sqlite_file
 from polemap.drivelog.readers.bags.container import Container, changed_ns
 from polemap.extras import need
-from polemap.parsing.errors import short
+from polemap.parsing.errors import named, short
 from polemap.parsing.yaml_text import read_yaml
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -25,7 +25,8 @@ def is_log(path: Path) -> bool:
     """Whether a path is a recording, by its first bytes or, for a folder, by what lies in it."""
     if path.is_dir():
         return _is_rosbag2(path) or bool(_parts(path))
-    return path.is_file() and _magic(path) is not None
+    # a file that only has the name of one is told what is wrong with it
+    return path.is_file() and (_magic(path) is not None or path.suffix in _ENDINGS)
 
 
 def open_containers(path: Path) -> tuple[Container, ...]:
@@ -102,7 +103,9 @@ def _container(path: Path, *, zstd: bool) -> Container:
 def _rosbag2(folder: Path) -> tuple[Container, ...]:
     place = folder / _METADATA
     try:
-        head: Any = read_yaml(place)["rosbag2_bagfile_information"]
+        with named(place, InputError, "rosbag2 metadata"):
+            tree: Any = read_yaml(place)
+        head: Any = tree["rosbag2_bagfile_information"]
         names = [Path(str(name)).name for name in head["relative_file_paths"]]
         mode = str(head.get("compression_mode") or "").lower()
         form = str(head.get("compression_format") or "")

@@ -108,7 +108,7 @@ class _Walker:
         if name_length == 0 and at + _CHUNK_HEAD.size + 8 < end:
             start = at + _CHUNK_HEAD.size + 8
             file.seek(start)
-            yield from self._inside(file, start, end - start, -1)
+            yield from self._inside(file, start, end - start, -1, cut=True)
 
     def _chunk(self, file: BinaryIO, at: int, length: int) -> Iterator[Message]:
         head = file.read(_CHUNK_HEAD.size)
@@ -138,13 +138,17 @@ class _Walker:
     def _damaged(self, at: int, why: str) -> None:
         self._walk.damage.append(f"{self._source.path.name}: chunk at byte {at} left out: {why}")
 
-    def _inside(self, file: BinaryIO, start: int, length: int, block: int) -> Iterator[Message]:
+    def _inside(
+        self, file: BinaryIO, start: int, length: int, block: int, *, cut: bool = False
+    ) -> Iterator[Message]:
+        """Messages of a chunk's content; of one that is cut off the last record is not whole."""
         at, end = start, start + length
         while at + _RECORD.size <= end:
             code, size = _RECORD.unpack(file.read(_RECORD.size))
             at += _RECORD.size
             if at + size > end:
-                self._damaged(max(block, at), "a record in it is longer than it")
+                if not cut:
+                    self._damaged(max(block, at), "a record in it is longer than it")
                 return
             if code == _MESSAGE:
                 message = self._message(file, at, size, block)

@@ -71,6 +71,7 @@ class _Walker:
     def __init__(self, source: Rosbag1File, walk: Walk) -> None:
         self._source, self._walk = source, walk
         self._channels: dict[int, int] = {}
+        self._cut = False
 
     def records(self, file: BinaryIO, at: int, end: int, block: int) -> Iterator[Message]:
         """Messages between two positions of a file, or of a decompressed chunk."""
@@ -101,6 +102,9 @@ class _Walker:
                 at += length
                 file.seek(at)
         except _CutError:
+            if self._cut:  # said inside the chunk that it ends in
+                return
+            self._cut = True
             where = f"chunk at byte {block}" if block >= 0 else f"byte {at}"
             self._walk.damage.append(
                 f"{self._source.path.name} ends in the middle of a record ({where}): the recording "

@@ -30,16 +30,21 @@ class SqliteFile:
 
     def walk(self, walk: Walk) -> Iterator[Message]:
         """Every message in the order of recording; see `Container`."""
+        count = 0
         try:
             with closing(_connect(self.path)) as database:
                 numbers = {topic: walk.add(channel) for topic, channel in _channels(database, self)}
                 walk.compression.add("zstd per message" if self.zstd else "none")
-                yield from _messages(database, numbers, walk, self.path)
+                for message in _messages(database, numbers, walk, self.path):
+                    count += 1
+                    yield message
         except sqlite3.Error as error:
-            raise InputError(
-                f"{self.path}: damaged, or no rosbag2 database ({short(error)}); restore it, or "
-                "mend it with `sqlite3 FILE .recover`"
-            ) from error
+            what = f"damaged, or no rosbag2 database ({short(error)})"
+            if not count:
+                raise InputError(
+                    f"{self.path}: {what}; restore it, or mend it with `sqlite3 FILE .recover`"
+                ) from error
+            walk.damage.append(f"{self.path.name}: {what}: read up to message {count}")
 
     def read(self, block: int, offset: int, size: int) -> bytes:
         """A message by its row; see `Container`."""
@@ -61,7 +66,9 @@ def _connect(path: Path) -> sqlite3.Connection:
     # a recording that goes on, or was killed, has messages in a file beside
     live = journal.is_file() and journal.stat().st_size > 0
     mode = "mode=ro" if live else "mode=ro&immutable=1"
-    return sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True, check_same_thread=False)
+    database = sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
+    database.text_factory = lambda data: data.decode("utf-8", "replace")
+    return database
 
 
 def _channels(database: sqlite3.Connection, source: SqliteFile) -> Iterator[tuple[int, Channel]]:
