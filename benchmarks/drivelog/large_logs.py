@@ -113,7 +113,7 @@ def write_mcap(path: Path, count: int, compression: str) -> Path:
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType[compression], enable_crcs=False)
+        writer: Any = Writer(file, compression=CompressionType[compression], enable_crcs=False)
         writer.start(profile="ros2")
         known: dict[str, int] = {}
         for log_ns, topic, kind, content in messages(count):

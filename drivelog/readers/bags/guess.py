@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -56,19 +56,16 @@ def guess(index: LogIndex, given: m.Mapping | None = None) -> Guess:
             made.ambiguous["camera"] = pair
         else:
             parts["camera"] = pair
-    odometry_topic = None
     if "odometry" not in told:
-        odometry_topic = _pick("odometry", topics, _odometry_score, made)
-        parts["odometry"] = _odometry(topics, odometry_topic, made)
-    elif given.odometry is not None:
-        odometry_topic = given.odometry.speed.topic
+        parts["odometry"] = _odometry(
+            topics, _pick("odometry", topics, _odometry_score, made), made
+        )
     if "gnss" not in told:
         fixes = _pick("gnss", topics, _gnss_score, made)
         parts["gnss"] = m.GnssPart(topic=fixes) if fixes else None
     if "reference" not in told:
-        taken = {odometry_topic} if odometry_topic else set()
-        left = {name: topic for name, topic in topics.items() if name not in taken}
-        poses = _pick("reference", left, _reference_score, made)
+        # an INS gives both: its speed is odometry, its pose a reference
+        poses = _pick("reference", topics, _reference_score, made)
         parts["reference"] = m.ReferencePart(topic=poses) if poses else None
     found = {name: part for name, part in parts.items() if part is not None}
     made.mapping = given.model_copy(update=found)
@@ -76,12 +73,14 @@ def guess(index: LogIndex, given: m.Mapping | None = None) -> Guess:
     return made
 
 
-def _pick(role: str, topics: Mapping[str, Topic], score: object, made: Guess) -> str | None:
+def _pick(
+    role: str, topics: Mapping[str, Topic], score: Callable[[Topic], int], made: Guess
+) -> str | None:
     """The one topic with the highest positive score; None, said in `ambiguous`, for several."""
     scores = {
         name: value
         for name, topic in topics.items()
-        if topic.count > topic.undecodable and (value := score(topic)) > 0  # type: ignore[operator]
+        if topic.count > topic.undecodable and (value := score(topic)) > 0
     }
     if not scores:
         return None
@@ -99,14 +98,15 @@ def _name(topic: Topic) -> str:
 
 def _odometry_score(topic: Topic) -> int:
     name = _name(topic)
-    if topic.kind not in ("odometry", "twist", "ackermann") or _COMMAND.search(name):
+    if topic.kind not in ("odometry", "twist", "ackermann"):
+        return 0
+    if _COMMAND.search(name) or _TRUTH.search(name):
         return 0
     if topic.columns[0] == "x_m" and stands_still(topic) and moves(topic):
         return 0  # a pose without a speed: many that estimate poses leave the twist at zero
     score = {"odometry": 6, "twist": 6, "ackermann": 5}[topic.kind]
     score += 3 * bool(_WHEELS.search(name))
-    score -= 4 * bool(_FUSED.search(name) or _DRIFTING.search(name)) + 6 * bool(_TRUTH.search(name))
-    return score
+    return score - 4 * bool(_FUSED.search(name) or _DRIFTING.search(name))
 
 
 def stands_still(topic: Topic) -> bool:

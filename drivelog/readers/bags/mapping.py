@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.problems import did_you_mean, refusal, validation_mistakes
 from polemap.drivelog.readers.bags.index import LogIndex
 from polemap.drivelog.readers.bags.types import Kind
 from polemap.drivelog.readers.drive_yaml import AntennaPart, MountingPart
@@ -35,6 +35,18 @@ _UNITS = (*SPEED_UNITS, *TURN_UNITS)
 
 
 class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Mounting(MountingPart):
+    """The left camera in the vehicle frame."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Antenna(AntennaPart):
+    """The antenna in the vehicle frame."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -69,7 +81,13 @@ class CameraPart(_Part):
     rectified: bool | None = None
     baseline_m: float | None = Field(None, gt=0.0, lt=10.0)
     pair_tolerance_s: float | None = Field(None, ge=0.0, le=1.0)
-    vehicle_from_camera: MountingPart | None = None
+    vehicle_from_camera: Mounting | None = None
+
+    @model_validator(mode="after")
+    def _two_cameras(self) -> CameraPart:
+        if self.left.image == self.right.image:
+            raise ValueError(f"left and right are one topic, {self.left.image[:60]}")
+        return self
 
 
 class Signal(_Part):
@@ -118,7 +136,7 @@ class GnssPart(_Part):
     """The receiver; `antenna` in the vehicle frame where TF lacks it."""
 
     topic: Topic
-    antenna: AntennaPart | None = None
+    antenna: Antenna | None = None
 
 
 class OriginPart(_Part):
@@ -184,22 +202,16 @@ def read_mapping(path: Path) -> Mapping:
         return Mapping.model_validate(values)
     except ValidationError as error:
         lines = key_lines(text)
-        raise InputError(
-            f"{path}: " + "; ".join(_mistake(one, lines) for one in error.errors())
+        places = [tuple(str(part) for part in one["loc"]) for one in error.errors()]
+        told = validation_mistakes(error, Mapping)
+        raise refusal(
+            path, [f"line {_line(lines, p)}: {one}" for p, one in zip(places, told, strict=True)]
         ) from error
 
 
-def _mistake(error: Any, lines: dict[tuple[str, ...], int]) -> str:
-    place = tuple(str(part) for part in error["loc"])
-    line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), 1)
-    message = str(error["msg"]).removeprefix("Value error, ")
-    if error["type"] == "extra_forbidden":
-        message = "is no key of a mapping"
-    elif error["type"] == "missing":
-        message = "is missing"
-    elif not isinstance(error["input"], dict):
-        message += f" (found {str(error['input'])[:40]})"
-    return f"line {line}: {'.'.join(place)}: {message}"
+def _line(lines: dict[tuple[str, ...], int], place: tuple[str, ...]) -> int:
+    """The line of a key, or of the part that should have held it."""
+    return next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), 1)
 
 
 def key_lines(text: str) -> dict[tuple[str, ...], int]:
@@ -231,10 +243,9 @@ def check_topics(mapping: Mapping, index: LogIndex, path: Path) -> None:
     mistakes = []
     for place, name, kinds in _named(mapping):
         topic = index.topics.get(name)
-        line = f"line {lines.get(place, 1)}: {'.'.join(place)}"
+        line = f"line {_line(lines, place)}: {'.'.join(place)}"
         if topic is None:
-            near = get_close_matches(name, list(index.topics), n=1, cutoff=0.4)
-            hint = f" (near it: '{near[0]}')" if near else ""
+            hint = did_you_mean(name, list(index.topics))
             mistakes.append(f"{line}: no topic '{name[:60]}' was recorded{hint}")
         elif kinds and topic.kind not in kinds:
             mistakes.append(
@@ -246,7 +257,7 @@ def check_topics(mapping: Mapping, index: LogIndex, path: Path) -> None:
         elif topic.undecodable == topic.count or (topic.reason and not topic.undecodable):
             mistakes.append(f"{line}: '{name[:60]}' cannot be read: {topic.reason[:120]}")
     if mistakes:
-        raise InputError(f"{path}: {'; '.join(mistakes)}")
+        raise refusal(path, mistakes)
 
 
 def _named(mapping: Mapping) -> Iterator[tuple[tuple[str, ...], str, tuple[Kind, ...]]]:

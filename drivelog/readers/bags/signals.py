@@ -117,7 +117,7 @@ def _yaw_rate(
     topic: Topic, signal: m.Signal, signals: Signals, speed: Floats | None, wheelbase_m: float
 ) -> Floats:
     factor = m.TURN_UNITS[signal.unit if signal.unit in m.TURN_UNITS else "rad/s"] * signal.scale
-    if signal.fields and signal.fields[0] in topic.columns and topic.columns == signal.fields:
+    if signal.fields:
         return np.asarray(np.mean([topic.column(f) for f in signal.fields], axis=0) * factor)
     if topic.kind == "imu":
         rates = np.stack([topic.column(name) for name in topic.columns], axis=1)
