@@ -189,9 +189,11 @@ class StereoCalibration:
         # the right camera's centre in the left camera's axes
         centre = -self.rotation.T @ self.translation_m
         if not centre[0] > 0.5 * self.baseline_m:
+            turned = centre[0] < -0.5 * self.baseline_m
+            remedy = "exchange the cameras" if turned else "only pairs side by side are matched"
             raise StereoError(
-                f"the right camera stands at {np.round(centre, 3).tolist()} m of the left one, "
-                "not to its right: exchange the cameras"
+                f"the right camera stands at {np.round(centre, 3).tolist()} m of the left one "
+                f"(right, down, ahead), not to its right: {remedy}"
             )
         if not BASELINE_MIN_M <= self.baseline_m <= BASELINE_MAX_M:
             raise StereoError(_wrong_unit(self.baseline_m))

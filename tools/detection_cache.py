@@ -54,7 +54,9 @@ def drive_fingerprint(drive: Drive) -> str:
     digest = hashlib.sha256()
     count = len(drive.frame_stamps_s) if drive.has_frames else 0
     for row in sorted({0, count // 2, count - 1}) if count else ():
-        digest.update(np.ascontiguousarray(drive.read_frame(row).left).tobytes())
+        frame = drive.read_frame(row)
+        for image in (frame.left, frame.right):
+            digest.update(np.ascontiguousarray(image).tobytes())
     streams = [drive.frame_stamps_s]
     if drive.odometry is not None:
         streams += [drive.odometry.stamp_s, drive.odometry.speed_mps, drive.odometry.yaw_rate_radps]

@@ -195,6 +195,8 @@ def _frames(
             f"(such as {str(outside[0])[-80:]})"
         )
     images = camera.pairs(pairs)
+    if note := camera.note():
+        notes.append(note)
     return table["stamp_s"], arrivals(table, problems), images
 
 

@@ -15,6 +15,9 @@ from polemap.stereo.io import read_calibration
 from polemap.stereo.rectify import Rectifier
 from polemap.stereo.rig import Mounting, StereoRig
 
+# what interpolation at the edges leaves out is not worth a word
+_ALL = 0.995
+
 
 @dataclass(frozen=True, slots=True)
 class FolderCamera:
@@ -24,11 +27,25 @@ class FolderCamera:
         rig: of the rectified pictures.
         rectifier: None where the files hold rectified pictures.
         bits: how many of a pixel are filled, where it is stated.
+        calibration: names of the files that calibrate raw pictures.
     """
 
     rig: StereoRig
     rectifier: Rectifier | None = None
     bits: int | None = None
+    calibration: str = ""
+
+    def note(self) -> str | None:
+        """What a reader of a result must know about the pictures."""
+        if self.rectifier is None:
+            return None
+        width, height = self.rectifier.raw_size_px
+        covered = self.rectifier.covered()
+        black = "" if covered > _ALL else f"; {100 * (1 - covered):.0f} % of them stay black"
+        return (
+            f"the pictures ({width}x{height} px) are rectified as they are read, with "
+            f"{self.calibration}{black}"
+        )
 
     def pairs(self, paths: tuple[tuple[Path, Path], ...]) -> FrameSource:
         """The rectified pictures of these files.
@@ -82,7 +99,7 @@ def read_camera(
         rectifier = Rectifier(read_calibration(paths, stated), mount)
     except StereoError as error:
         raise InputError(str(error)) from error
-    return FolderCamera(rectifier.rig, rectifier, camera.bits)
+    return FolderCamera(rectifier.rig, rectifier, camera.bits, " and ".join(names))
 
 
 def _mounting(part: MountingPart) -> Mounting:

@@ -48,12 +48,17 @@ def _matrix(name: str, value: dict[str, Any]) -> NDArray[np.float64]:
         shape = int(value["rows"]), int(value["cols"])
         data = value["data"]
         words = data.split() if isinstance(data, str) else data
-        numbers = np.array([float(word) for word in words], dtype=np.float64)
+        numbers = np.array([_number(word) for word in words], dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ParsingError(f"matrix {name} cannot be read ({short(error)})") from error
     if numbers.size != shape[0] * shape[1]:
         raise ParsingError(f"matrix {name} is {shape[0]}x{shape[1]}, but holds {numbers.size}")
     return numbers.reshape(shape)
+
+
+def _number(word: Any) -> float:
+    """A number as OpenCV writes it; its .Nan and .Inf are spelled as no YAML parser expects."""
+    return float(str(word).lower().replace(".nan", "nan").replace(".inf", "inf"))
 
 
 def _xml(text: str) -> Any:
