@@ -23,6 +23,7 @@ VERBS = {
     "demo": ("demo", "The whole main job on an embedded simulated drive."),
     "simulate": ("simulate", "Write a simulated drive."),
     "info": ("info", "Say what is inside a drive or a map."),
+    "new": ("new", "Write a drive folder to fill."),
     "convert": ("convert", "Write drives, runs and logs in another form."),
     "calibrate": ("calibrate", "Check and estimate the calibration of a drive."),
     "disparity": ("disparity", "Match one rectified stereo pair."),
