@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Literal, Protocol, cast
 
@@ -20,7 +21,9 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import Image, Sample, StereoFrame
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.errors import PolemapError
 from polemap.parsing.errors import named
+from polemap.plugins import READERS, load_plugins, short
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.parameters import Car
 
@@ -35,6 +38,7 @@ __all__ = [
     "Reader",
     "ReferenceStream",
     "open_drive",
+    "reader_of",
     "readers",
 ]
 
@@ -256,11 +260,30 @@ class TopicReader(Reader, Protocol):
 @cache
 def readers() -> tuple[Reader, ...]:
     """Every reader, ours and those of installed packages; looked for once, which takes 20 ms."""
-    group = "polemap.readers"
-    points = {name: EntryPoint(name, value, group) for name, value in _OWN.items()}
-    points |= {point.name: point for point in entry_points(group=group)}
-    found = [point.load() for point in points.values()]
-    return tuple(sorted(found, key=lambda reader: str(reader.name)))
+    own = {name: EntryPoint(name, value, READERS).load() for name, value in _OWN.items()}
+    others = load_plugins(READERS, ("name", "can_read", "read"), frozenset(own))
+    return tuple(sorted((own | dict(others)).values(), key=lambda reader: str(reader.name)))
+
+
+def reader_of(path: Path) -> Reader | None:
+    """The reader that knows a path; None if none does.
+
+    A plug-in that fails is warned of and passed over.
+    """
+    for reader in readers():
+        try:
+            if reader.can_read(path):
+                return reader
+        except PolemapError:
+            raise
+        except Exception as error:
+            if type(reader).__module__.startswith("polemap."):
+                raise
+            warnings.warn(
+                f"reader '{reader.name}' fails at {path} ({short(error)}) and is passed over",
+                stacklevel=2,
+            )
+    return None
 
 
 def open_drive(path: str | Path, *, seed: int = 0, topics: str | Path | None = None) -> Drive:
@@ -278,9 +301,8 @@ def open_drive(path: str | Path, *, seed: int = 0, topics: str | Path | None = N
     with named(path, InputError, "drive"):
         if not os.path.exists(path):
             raise InputError(f"{path}: no such drive")
-        for reader in readers():
-            if not reader.can_read(path):
-                continue
+        reader = reader_of(path)
+        if reader is not None:
             if topics is None:
                 return reader.read(path, seed=seed)
             if not getattr(reader, "takes_topics", False):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from polemap.plugins import MATCHERS, installed
+
+OWN_MATCHERS = ("census_sgm", "opencv_sgbm")
 Census = Literal["tall", "centre5x5", "symmetric7x7"]
 
 LARGEST_PENALTY = 150  # a path cost must fit one byte
@@ -70,16 +73,23 @@ class Penalties(BaseModel):
         return self
 
 
+def _known_matcher(name: str) -> str:
+    known = [*OWN_MATCHERS, *installed(MATCHERS)]
+    if name not in known:
+        raise ValueError(f"no such matcher; installed are {', '.join(known)}")
+    return name
+
+
 class StereoConfig(BaseModel):
     """How a pair becomes two disparity maps."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    matcher: Literal["census_sgm", "opencv_sgbm"] = Field(
+    matcher: Annotated[str, AfterValidator(_known_matcher)] = Field(
         default="census_sgm",
         description=(
-            "`census_sgm` needs the C++ extension; without it `opencv_sgbm` serves, with "
-            "one warning."
+            "`census_sgm`, which needs the C++ extension (without it `opencv_sgbm` serves, with "
+            "one warning), `opencv_sgbm`, or that of a plug-in (docs/plugins.md)."
         ),
     )
     min_disparity_px: int = Field(

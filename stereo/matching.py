@@ -5,8 +5,10 @@ from __future__ import annotations
 import warnings
 from functools import cache
 
+from polemap.plugins import MATCHERS, installed, load_plugin, short
 from polemap.stereo.census_sgm import KERNEL_OPTIONS, CensusSgm, KernelOptions
-from polemap.stereo.config import StereoConfig
+from polemap.stereo.config import OWN_MATCHERS, StereoConfig
+from polemap.stereo.errors import StereoError
 from polemap.stereo.matching_types import DisparityPair, Image, StereoMatcher
 from polemap.stereo.opencv_sgbm import OPENCV_OPTIONS, OpenCvOptions, OpenCvSgbm
 from polemap.stereo.rig import StereoRig
@@ -38,7 +40,9 @@ def make_matcher(
     `opencv` are for measurements.
 
     Raises:
-        StereoError: the machine lacks the instruction set that `kernel` asks for.
+        StereoError: the machine lacks the instruction set that `kernel` asks for, or a plug-in
+            makes no matcher.
+        PluginError: the plug-in that `config` names cannot be loaded.
     """
     matcher = _plain_matcher(config, rig, kernel, opencv)
     if config.outlier_chance_max >= 1.0:
@@ -51,8 +55,27 @@ def _plain_matcher(
 ) -> StereoMatcher:
     if config.matcher == "opencv_sgbm":
         return OpenCvSgbm(config, rig, opencv)
+    if config.matcher not in OWN_MATCHERS:
+        return _plugin(config, rig)
     try:
         return CensusSgm(config, rig, kernel)
     except ImportError:
         _warn_once()
         return OpenCvSgbm(config, rig, opencv)
+
+
+def _plugin(config: StereoConfig, rig: StereoRig | None) -> StereoMatcher:
+    """The matcher of an installed package, which is called with the settings and the rig."""
+    make = load_plugin(installed(MATCHERS)[config.matcher], ("__call__",))
+    try:
+        matcher: StereoMatcher = make(config, rig)
+    except StereoError:
+        raise
+    except Exception as error:
+        raise StereoError(f"matcher plug-in {config.matcher} fails ({short(error)})") from error
+    if not callable(getattr(matcher, "match", None)) or not hasattr(matcher, "name"):
+        raise StereoError(
+            f"matcher plug-in {config.matcher} makes a {type(matcher).__name__}, which has no name "
+            "or no match(left, right); docs/plugins.md has a template"
+        )
+    return matcher

@@ -14,8 +14,15 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 ROOMS = ("stereo", "vehicle", "drivelog", "localize", "electric", "evaluate", "simulate", "tools",
          "polemap", "benchmarks")  # fmt: skip
-# the group of entry points; members of a GeoJSON map; any room
-NEITHER = {"polemap.readers", "polemap.doubtful", "polemap.frame", "polemap.ROOM"}
+# the groups of entry points; members of a GeoJSON map; any room
+NEITHER = {
+    "polemap.readers",
+    "polemap.matchers",
+    "polemap.estimators",
+    "polemap.doubtful",
+    "polemap.frame",
+    "polemap.ROOM",
+}
 
 
 def sources() -> dict[Path, str]:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from polemap.drivelog.drive import readers
+from polemap.drivelog.drive import reader_of
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.tools.option_types import ForceOption, SeedOption, TopicsOption
 
@@ -188,7 +188,7 @@ def kind_of(path: Path) -> Source:
         raise InputError(f"{path}: no such file or folder")
     if any(all((at / name).is_file() for name in _RUN_FILES) for at in (path, path / "000")):
         return "run"
-    if any(reader.can_read(path) for reader in readers()):
+    if reader_of(path) is not None:
         return "drive"
     if path.is_file():
         return "log"

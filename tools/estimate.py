@@ -18,7 +18,7 @@ from polemap.drivelog.errors import ConfigError, InputError
 from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import GPS
-from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
+from polemap.electric.estimators.registry import known_estimators, make_estimator
 from polemap.electric.gaps import find_gaps, play_parts, settled
 from polemap.electric.identify import identify
 from polemap.electric.io import gps_from_truth, read_signal_log
@@ -104,8 +104,8 @@ def command(
     if identify_span is not None:
         _identify(signals, car, identify_span, log, vehicle, out)
         return
-    if estimator is None or estimator not in ESTIMATORS:
-        raise ConfigError(f"--estimator {estimator}: choose one of {', '.join(ESTIMATORS)}")
+    if estimator is None or estimator not in known_estimators():
+        raise ConfigError(f"--estimator {estimator}: choose one of {', '.join(known_estimators())}")
     config = load_estimator_config(config_file, set_values, signals)
     if derive_gps:
         signals = gps_from_truth(
@@ -147,7 +147,7 @@ def run_estimator(
     Raises:
         InputError: the log lacks a sensor that the estimator lives on.
     """
-    entry, kinds = ESTIMATORS[name], signals.kinds()
+    entry, kinds = known_estimators()[name], signals.kinds()
     missing = [kind for kind in entry.needs if kind not in kinds]
     if missing or (entry.late and not kinds.intersection(entry.late)):
         lacking = missing[0] if missing else " or ".join(entry.late)
@@ -188,7 +188,7 @@ def at_reference(name: str, played: Played, signals: SignalLog, car: Car) -> Flo
     A model's side-slip is that of the centre of gravity; one that hears GPS is the antenna's.
     """
     slip = played.column("sideslip_rad")
-    if GPS in ESTIMATORS[name].late or "yaw_rate_radps" not in played.fields:
+    if GPS in known_estimators()[name].late or "yaw_rate_radps" not in played.fields:
         return slip
     speed = np.maximum(signals.held("vx_mps"), 1.0)
     return np.asarray(
@@ -285,7 +285,7 @@ def _cut(signals: SignalLog, span: str, option: str) -> SignalLog:
 
 def _list() -> None:
     lines = ["estimators:"]
-    for name, entry in ESTIMATORS.items():
+    for name, entry in known_estimators().items():
         lines.append(f"  {name:<24} {entry.summary}")
     lines.append("cars:")
     for name in car_names():

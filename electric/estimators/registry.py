@@ -28,6 +28,8 @@ from polemap.electric.estimators.replay import MultiRateKalman, ReplayKalman
 from polemap.electric.estimators.single_rate import SingleRateKalman
 from polemap.electric.estimators.stiffness import StiffnessKalman
 from polemap.electric.estimators.two_layer import Delay, TwoLayerKalman
+from polemap.plugins import ESTIMATORS as ESTIMATOR_PLUGINS
+from polemap.plugins import load_plugins, short
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.parameters import Car
 
@@ -117,12 +119,24 @@ ESTIMATORS: dict[str, Entry] = {
 }
 
 
+def known_estimators() -> dict[str, Entry]:
+    """Ours, and those of installed packages; one that cannot be used is warned of."""
+    found = load_plugins(ESTIMATOR_PLUGINS, ("summary", "needs", "make"), frozenset(ESTIMATORS))
+    return ESTIMATORS | dict(found)
+
+
 def make_estimator(name: str, car: Car, config: EstimatorConfig) -> Estimator:
     """An estimator by name.
 
     Raises:
-        VehicleError: no such name.
+        VehicleError: no such name, or a plug-in that fails.
     """
-    if name not in ESTIMATORS:
-        raise VehicleError(f"no estimator {name}; known are {', '.join(ESTIMATORS)}")
-    return ESTIMATORS[name].make(car, config)
+    if name in ESTIMATORS:
+        return ESTIMATORS[name].make(car, config)
+    known = known_estimators()
+    if name not in known:
+        raise VehicleError(f"no estimator {name}; known are {', '.join(known)}")
+    try:
+        return known[name].make(car, config)
+    except Exception as error:
+        raise VehicleError(f"estimator plug-in {name} fails ({short(error)})") from error
