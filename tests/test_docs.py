@@ -107,3 +107,17 @@ def test_nothing_outside_the_repository_is_named() -> None:
         if "benchmarks" not in path.parts:
             found = re.search(r"CONTRACT\b|ERRATA\b|\.\./shared", text)
             assert found is None, f"{path}: {found}"
+
+
+def test_the_way_of_a_frame_names_what_stands_in_its_files() -> None:
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    rows = text.partition("## The way of a frame")[2].partition("##")[0].splitlines()
+    steps = [row.split("|")[1:4] for row in rows if row.startswith("| `")]
+    assert len(steps) > 20
+    code = "\n".join(sources().values())
+    for places, file, handed_on in steps:
+        source = (ROOT / file.strip(" `")).read_text(encoding="utf-8")
+        for name in re.findall(r"`(?:\w*\.)?(\w+)`", places):
+            assert f"def {name}(" in source, f"{file}: {name}"
+        for name in re.findall(r"`(\w+)`", handed_on):
+            assert re.search(rf"\bclass {name}\b", code), f"{file}: {name}"

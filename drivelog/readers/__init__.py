@@ -1,1 +1,1 @@
-"""One file a kind of recording; found through the entry points `polemap.readers`."""
+"""One file a kind of recording; found through pyproject.toml's entry points `polemap.readers`."""

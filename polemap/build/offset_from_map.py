@@ -1,7 +1,7 @@
 """By how much a camera's disparities are off, told by a known map: for labels, not while driving.
 
 A camera out of true by hundredths of a degree places far poles metres beside the map's, and they
-would be taken for other things. While driving, `polemap.disparity_offset` learns it without a map.
+would be taken for other things. While driving, `track/disparity_offset.py` learns it without a map.
 """
 
 from __future__ import annotations

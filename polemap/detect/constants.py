@@ -1,8 +1,8 @@
 """Figures of the detector that no user need turn.
 
 Source, where no other is named: tuned on KITTI odometry 03 with `polemap detect --evaluate`, held
-against rendered streets on which nothing was tuned with `benchmarks/seen_poles.py`: recall and
-precision of poles, and the NEES of tracks for the errors (`docs/perception.md`).
+against rendered streets on which nothing was tuned with `benchmarks/polemap/seen_poles.py`: recall
+and precision of poles, and the NEES of tracks for the errors (`docs/perception.md`).
 """
 
 STEP_MIN_PX = 0.8  # smallest disparity jump of a depth edge

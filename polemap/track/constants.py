@@ -1,7 +1,7 @@
 """Figures of the tracker that no user need turn.
 
 Source, where no other is named: tuned on KITTI odometry 03 with `polemap detect --evaluate`, held
-against rendered streets on which nothing was tuned with `benchmarks/seen_poles.py`
+against rendered streets on which nothing was tuned with `benchmarks/polemap/seen_poles.py`
 (`docs/perception.md`).
 """
 
