@@ -16,6 +16,7 @@ from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.config import LocalizeConfig, for_car
 from polemap.localize.localizer import OUTPUT_HOLE_S, Localizer, PoseUpdate
+from polemap.localize.output_trace import OutputTrace, particle_trajectory
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
 
@@ -128,15 +129,9 @@ def replay(
             progress(1000)
     ticks.finish()
     spent = clock() - begin if clock else nan
-    pf = Trajectory(
-        np.array([u.estimate.stamp_s for u in updates]),
-        np.array([u.estimate.pose for u in updates]).reshape(-1, 3),
-        np.array([u.estimate.covariance for u in updates]).reshape(-1, 3, 3),
-    )
-    # poses become known in the order of their arrival, a trajectory is in the order of its stamps
-    pf = pf.rows(np.argsort(pf.stamp_s, kind="stable"))
-    kf, output, flags, distrust = ticks.result()
+    kf, output, flags, distrust = ticks.trace.result()
     timings = localizer.timings_s if clock else {}
+    pf = particle_trajectory(updates)
     return Run(pf, tuple(updates), kf, output, flags, distrust, localizer.summary(), timings, spent)
 
 
@@ -160,11 +155,7 @@ class _Ticks:
         self._rate = rate_hz
         self._next: int | None = None
         self._last_arrival_s = float("nan")
-        self._stamps: list[float] = []
-        self._rows: list[tuple[float, ...]] = []
-        self._covariance: list[Floats] = []
-        self._flags: list[str] = []
-        self._distrust: list[str] = []
+        self.trace = OutputTrace()
 
     def up_to(self, arrival_s: float) -> None:
         """Every tick before the arrival of the next sample."""
@@ -191,24 +182,5 @@ class _Ticks:
         stamp = self._next / self._rate
         self._next += 1
         answer = self._localizer.pose_at(stamp)
-        if answer is None:
-            return
-        self._stamps.append(stamp)
-        self._rows.append(
-            (
-                *answer.pose,
-                answer.speed_mps,
-                answer.yaw_rate_radps,
-                answer.jump_m,
-                answer.pose_age_s,
-            )
-        )
-        self._covariance.append(answer.covariance)
-        self._flags.append(answer.flag)
-        self._distrust.append(answer.distrust)
-
-    def result(self) -> tuple[Trajectory, Floats, tuple[str, ...], tuple[str, ...]]:
-        rows = np.array(self._rows).reshape(-1, 7)
-        covariance = np.array(self._covariance).reshape(-1, 3, 3)
-        kf = Trajectory(np.array(self._stamps), rows[:, :3], covariance)
-        return kf, rows[:, 3:], tuple(self._flags), tuple(self._distrust)
+        if answer is not None:
+            self.trace.append(stamp, answer)

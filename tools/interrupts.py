@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event
 from types import FrameType
 
 from polemap.drivelog.processes import end_children
@@ -32,6 +36,38 @@ def _stop(number: int, _frame: FrameType | None) -> None:
     _received.append(number)
     end_children()
     raise Stopped(signal.Signals(number).name)
+
+
+@contextmanager
+def asked_to_end(event: Event) -> Iterator[None]:
+    """Inside the block a first signal sets `event`, so that work ends at a place of its choice.
+
+    A second one ends the process at once. Does nothing where a thread calls it.
+    """
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        if event.is_set() and _received:
+            os._exit(128 + number)
+        _received.append(number)
+        event.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+    try:
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, ask)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def forget() -> None:
+    """The signal that came was an ordinary end."""
+    _received.clear()
 
 
 def exit_code() -> int | None:

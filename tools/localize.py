@@ -17,6 +17,7 @@ from polemap.map.io import read_map
 from polemap.settings import load_settings
 from polemap.tools.drive_detection import DriveDetections, Source, detect_drive
 from polemap.tools.findings import require_plausible
+from polemap.tools.follow.command import Asked, check_options, follow
 from polemap.tools.monte_carlo import Replay, run_many, shared_runs
 from polemap.tools.option_types import (
     ConfigOption,
@@ -30,8 +31,12 @@ from polemap.tools.progress import progress
 
 
 def command(
-    drive: Annotated[Path, typer.Argument(help="Drive folder of any known kind.")],
-    out: Annotated[Path, typer.Option("--out", help="Run folder to write.")],
+    drive: Annotated[
+        Path | None, typer.Argument(help="Drive of any known kind; not with --follow.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Run folder to write; with --follow as you like.")
+    ] = None,
     map_file: Annotated[
         Path | None, typer.Option("--map", help="Pole map: gpkg, geojson, parquet or csv.")
     ] = None,
@@ -52,11 +57,26 @@ def command(
         typer.Option("--cache", help="Keeps detections and finished runs: a killed call goes on."),
     ] = None,
     topics: TopicsOption = None,
+    followed: Annotated[
+        str | None,
+        typer.Option("--follow", help="Live: a growing MCAP file, or - for standard input."),
+    ] = None,
+    car: Annotated[
+        Path | None, typer.Option("--car", help="With --follow: a drive of the same car.")
+    ] = None,
+    serve: Annotated[
+        str | None,
+        typer.Option("--serve", help="With --follow: [HOST:]PORT of a Foxglove WebSocket."),
+    ] = None,
+    idle_s: Annotated[
+        float | None,
+        typer.Option("--idle", min=0.1, help="With --follow: end if a file rests for SECONDS."),
+    ] = None,
     force: ForceOption = False,
     seed: SeedOption = 0,
     config: ConfigOption = None,
     set_values: SetOption = None,
-) -> None:
+) -> int:
     """Replay a drive against a pole map: particle filter, output filter, accuracy.
 
     Examples:
@@ -65,20 +85,32 @@ def command(
         polemap localize drives/park --lap test --map park.csv --out runs/park
         polemap localize drives/week --lap monday:friday --map park.csv --out runs/week --cache kept
         polemap localize drives/lap_2 --without-poles --out runs/lap_2_dead_reckoning
+        polemap localize --follow recording.mcap --map campus.gpkg --car drives/lap_1
+        sensors | polemap localize --follow - --map campus.gpkg --car drives/lap_1 --serve 8765
 
     Writes pf.tum and kf.tum (100 Hz), health.csv, output.csv, timing.csv, metrics.json and
     config.yaml; with --runs one folder a run and the mean and spread over them. The same seed gives
     the same trajectories, bit for bit. The poles are detected once, in parallel; --cache keeps
     what was found there, for other runs and for the sweeps of polemap report.
+
+    --follow localizes while a drive is being recorded: a JSON line a pose on stdout, 100 a second,
+    or --serve; see docs/live.md.
     """
+    if followed is not None:
+        check_options({"a drive": drive is not None, "--lap": lap is not None, "--runs": runs > 1,
+                       "--cache": cache is not None, "--workers": workers is not None})  # fmt: skip
+        _check_map(map_file, without_poles)
+        settings = load_settings(config, set_values)
+        return follow(Asked(followed, map_file, car, topics, out, serve, idle_s, seed, settings))
+    if drive is None or out is None:
+        raise ConfigError("localize: DRIVE and --out are needed (or --follow SOURCE)")
+    lone = next((name for name, given in (("--car", car), ("--serve", serve), ("--idle", idle_s))
+                 if given is not None), None)  # fmt: skip
+    if lone is not None:
+        raise ConfigError(f"{lone} goes with --follow; drop it")
     check_folder(out, "run", (drive, map_file, cache, config, topics))
     settings = load_settings(config, set_values)
-    if (map_file is None) != without_poles:
-        raise ConfigError(
-            "localize needs a map: give --map MAP"
-            if map_file is None
-            else "--map and --without-poles exclude each other; drop one of them"
-        )
+    _check_map(map_file, without_poles)
     processes = workers or cpu_count() or 1
     source = Source(str(drive), lap, None if topics is None else str(topics))
     opened = source.open()
@@ -101,6 +133,16 @@ def command(
             metrics = run_many(job, folder, seed, runs, min(processes, runs), kept)
     map_notes = pole_map.notes if pole_map is not None else ()
     typer.echo(_table(metrics, map_notes, out))
+    return 0
+
+
+def _check_map(map_file: Path | None, without_poles: bool) -> None:
+    if (map_file is None) != without_poles:
+        raise ConfigError(
+            "localize needs a map: give --map MAP"
+            if map_file is None
+            else "--map and --without-poles exclude each other; drop one of them"
+        )
 
 
 def _table(metrics: dict[str, Any], map_notes: tuple[str, ...], out: Path) -> str:

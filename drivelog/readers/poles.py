@@ -138,14 +138,7 @@ def _view(
 ) -> tuple[VisibleRegion | None, str | None]:
     """What the detector could see: as drive.yaml says, else the outline of what it did see."""
     if detector is not None:
-        region = VisibleRegion(
-            np.array([detector.x_m, detector.y_m]),
-            detector.bearing_min_rad,
-            detector.bearing_max_rad,
-            detector.range_min_m,
-            np.array([detector.range_max_m]),
-        )
-        return region, None
+        return stated_view(detector), None
     if poles is None or len(poles) < _FEW:
         return None, None
     region = estimate_view(np.stack([poles["x_m"], poles["y_m"]], axis=1))
@@ -153,6 +146,17 @@ def _view(
         "drive.yaml has no pole_detector: its field of view was estimated from poles.csv "
         f"({np.degrees(region.bearing_min_rad):.0f} to {np.degrees(region.bearing_max_rad):.0f} "
         f"degrees, to {region.free_range_m[0]:.0f} m)"
+    )
+
+
+def stated_view(detector: DetectorPart) -> VisibleRegion:
+    """What the detector could see, as drive.yaml says."""
+    return VisibleRegion(
+        np.array([detector.x_m, detector.y_m]),
+        detector.bearing_min_rad,
+        detector.bearing_max_rad,
+        detector.range_min_m,
+        np.array([detector.range_max_m]),
     )
 
 

@@ -17,9 +17,11 @@ from rosbags.highlevel import AnyReader
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.drivelog.readers.bags.described import describe
+from polemap.drivelog.readers.bags.signals import SD_AT_DILUTION_ONE_M
 from polemap.drivelog.writers.ros import messages as ros
-from polemap.drivelog.writers.ros.drive import SD_M_PER_HDOP, write_drive_mcap
-from polemap.drivelog.writers.ros.mcap_file import nanoseconds
+from polemap.drivelog.writers.ros.drive import write_drive_mcap
+from polemap.drivelog.writers.ros.mcap_file import mcap_file, nanoseconds
 from polemap.stereo.rig import Mounting, rotation_from_angles
 from tests.drivelog.drives import RIG, write_small
 
@@ -62,7 +64,7 @@ def test_every_stream_comes_back_by_mcap(drive: Drive, tmp_path: Path) -> None:
     places = geographic_from_grid(drive.frame, np.stack([gnss.east_m, gnss.north_m], axis=1))
     assert [(c.latitude, c.longitude) for c in fixes] == [tuple(place) for place in places]
     sd = [np.sqrt(c.position_covariance[0]) for c in fixes]
-    assert sd == pytest.approx(SD_M_PER_HDOP * gnss.hdop)
+    assert sd == pytest.approx(SD_AT_DILUTION_ONE_M * gnss.hdop)
 
     poses = [c for _, c in back["/reference"]]
     assert [c.pose.pose.position.x for c in poses] == reference.poses[:, 0].tolist()
@@ -143,3 +145,37 @@ def test_quaternions_turn_as_their_matrices(angles: tuple[float, float, float]) 
             ]
         )
         np.testing.assert_allclose(back, matrix, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", [EarthFrame("utm", 32632), EarthFrame("local", name="yard")])
+def test_a_drive_comes_back_as_the_drive_that_it_was(frame: EarthFrame, tmp_path: Path) -> None:
+    old = open_drive(write_small(tmp_path / "drive", frame=frame))
+    write_drive_mcap(old, tmp_path / "d.mcap")
+    new = open_drive(tmp_path / "d.mcap")
+    for name in ("name", "frame", "wheelbase_m", "rig", "laps", "notes", "car"):
+        assert getattr(new, name) == getattr(old, name), name
+    np.testing.assert_array_equal(new.gnss_antenna_m, old.gnss_antenna_m)
+    for stream in ("odometry", "gnss", "reference"):
+        was, now = getattr(old, stream), getattr(new, stream)
+        for column in type(was).__dataclass_fields__:
+            np.testing.assert_allclose(getattr(now, column), getattr(was, column), atol=2e-9)
+    assert new.frame_stamps_s == pytest.approx(old.frame_stamps_s, abs=1e-9)
+    for row in range(len(old.frame_stamps_s)):
+        np.testing.assert_array_equal(new.read_frame(row).left, old.read_frame(row).left)
+    assert len(new.scans) == len(old.scans)
+    for was, now in zip(old.scans, new.scans, strict=True):
+        np.testing.assert_array_equal(now.points_vehicle_m, was.points_vehicle_m)
+        np.testing.assert_array_equal(now.covariance_m2, was.covariance_m2)
+        assert now.view is not None
+        assert was.view is not None
+        assert now.view.free_range_m == pytest.approx(was.view.free_range_m)
+
+
+def test_a_damaged_description_is_told_with_its_recording(drive: Drive, tmp_path: Path) -> None:
+    with mcap_file(tmp_path / "d.mcap") as file:
+        file.attach("drive.yaml", "application/yaml", b"format_version: 1\nname: x\n")
+        file.write("/tf_static", ros.transforms([]), 1.0)
+    with pytest.raises(InputError, match=r"d\.mcap: attached drive\.yaml"):
+        open_drive(tmp_path / "d.mcap")
+    with pytest.raises(InputError, match=r"has no drive\.yaml attached"):
+        describe({}, "d.mcap")

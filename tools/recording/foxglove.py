@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.frames import geographic_from_grid
+from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.drivelog.writers.ros import messages as ros
 from polemap.drivelog.writers.ros.mcap_file import mcap_file
 from polemap.drivelog.writers.ros.types import message_types, named_values
 from polemap.tools.recording.layout import layout
-from polemap.tools.recording.scene import HEIGHT_M, WIDTH_M, Picture, Scene
+from polemap.tools.recording.scene import HEIGHT_M, WIDTH_M, Picture, Poles, Scene
 from polemap.vehicle.pose import pose_rotation
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ IMAGE, INFO, NOTES_ON_IMAGE = (
 FIX = "/localization/fix"
 
 _MAPPED, _SEEN, _CAR = (1.0, 0.6, 0.2), (0.3, 0.85, 0.25), (0.2, 0.5, 0.9)
-_OK, _WARN, _ERROR = b"\x00", b"\x01", b"\x02"
+_OK, _WARN = 0, 1
 _CAR_SIZE_M = (4.5, 1.8, 1.5)
 _AXLE_TO_MIDDLE_M = 1.35
 # how long a pole that was seen stays drawn
@@ -105,8 +105,8 @@ def _start(scene: Scene) -> Iterator[Event]:
     for name, path in scene.paths.items():
         yield begin, f"/path/{name}", ros.path(begin, ros.MAP, path.stamp_s, path.poses)
     if scene.poles is not None:
-        yield begin, MAP_POLES, _map_poles(scene, begin)
-    yield begin, CAR, _car(begin)
+        yield begin, MAP_POLES, poles_message(scene.poles, scene.frame, begin)
+    yield begin, CAR, car_message(begin)
 
 
 def _output(scene: Scene) -> Iterator[Event]:
@@ -166,7 +166,7 @@ def _diagnostic(stamp_s: float, values: dict[str, float], gate: str) -> Any:
         status=[
             make(
                 "diagnostic_msgs/msg/DiagnosticStatus",
-                level=level[0], name="polemap: localization", message=said, hardware_id="polemap",
+                level=level, name="polemap: localization", message=said, hardware_id="polemap",
                 values=[make("diagnostic_msgs/msg/KeyValue", key=k, value=v)
                         for k, v in shown.items()],
             )
@@ -212,18 +212,18 @@ def _annotations(picture: Picture) -> Any:
     return make("foxglove_msgs/msg/ImageAnnotations", circles=[], points=lines, texts=[])
 
 
-def _map_poles(scene: Scene, stamp_s: float) -> Any:
-    """One entity for all: viewers slow down with thousands of entities, not of primitives."""
-    poles = scene.poles
-    if poles is None:
-        raise ValueError("a scene without poles")
+def poles_message(poles: Poles, frame: EarthFrame, stamp_s: float) -> Any:
+    """The map's poles as a SceneUpdate.
+
+    One entity for all: viewers slow down with thousands of entities, not of primitives.
+    """
     cylinders = [
         _cylinder(point, width, height, _MAPPED, 0.3 + 0.7 * existence)
         for point, width, height, existence in zip(
             poles.points_m, poles.width_m, poles.height_m, poles.existence, strict=True
         )
     ]
-    about = {"poles": str(len(cylinders)), "frame": str(scene.frame)}
+    about = {"poles": str(len(cylinders)), "frame": str(frame)}
     return _scene_update(stamp_s, ros.MAP, "map", cylinders=cylinders, metadata=about)
 
 
@@ -239,7 +239,8 @@ def _seen_poles(scan: Detections) -> Any:
     )  # fmt: skip
 
 
-def _car(stamp_s: float) -> Any:
+def car_message(stamp_s: float) -> Any:
+    """The shape of the car as a SceneUpdate that moves with it."""
     cube = message_types().make(
         "foxglove_msgs/msg/CubePrimitive",
         pose=ros.pose(_AXLE_TO_MIDDLE_M, 0.0, 0.0, 0.5 * _CAR_SIZE_M[2]),

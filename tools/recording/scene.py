@@ -17,6 +17,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import Image
+from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
 from polemap.stereo.rig import StereoRig
 from polemap.tools.drive_detection import Source, detect_drive
@@ -27,7 +28,7 @@ from polemap.vehicle.trajectory import Trajectory
 Floats = NDArray[np.float64]
 
 # a grid of round hundreds keeps coordinates readable: drawn plus origin is the map's
-_ORIGIN_STEP_M = 100.0
+ORIGIN_STEP_M = 100.0
 _PATH_SPACING_M = 0.5
 # poles beyond are thinner than a pixel
 _DRAWN_TO_M = 45.0
@@ -116,7 +117,7 @@ def scene_of(
     pf, pf_beside = opened.trajectory("pf")
     if not len(kf):
         raise InputError(f"{opened.name}: the run has no pose to show")
-    origin = np.floor(kf.poses[0, :2] / _ORIGIN_STEP_M) * _ORIGIN_STEP_M
+    origin = np.floor(kf.poses[0, :2] / ORIGIN_STEP_M) * ORIGIN_STEP_M
     origin = origin if opened.frame.is_utm else np.zeros(2)
     kf, pf = moved(kf, origin), moved(pf, origin)
     paths = {"kf": kf.thinned(_PATH_SPACING_M), "pf": pf.thinned(_PATH_SPACING_M)}
@@ -133,7 +134,7 @@ def scene_of(
         name=opened.name,
         frame=opened.frame,
         origin_m=origin,
-        poles=_poles(opened, origin),
+        poles=poles_of(opened.pole_map, origin) if opened.pole_map is not None else None,
         kf=kf,
         kf_beside=kf_beside,
         pf=pf,
@@ -156,10 +157,8 @@ def moved(trajectory: Trajectory, origin_m: Floats) -> Trajectory:
     return Trajectory(trajectory.stamp_s, poses, trajectory.covariance)
 
 
-def _poles(opened: OpenedRun, origin_m: Floats) -> Poles | None:
-    known = opened.pole_map
-    if known is None:
-        return None
+def poles_of(known: PoleMap, origin_m: Floats) -> Poles:
+    """The poles of a map from an origin; usual sizes where the map does not say them."""
     return Poles(
         known.points_m - origin_m,
         np.where(np.isfinite(known.width_m), known.width_m, WIDTH_M),

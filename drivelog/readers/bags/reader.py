@@ -18,6 +18,15 @@ from polemap.drivelog.images import RectifiedPairs
 from polemap.drivelog.readers.bags import mapping as m
 from polemap.drivelog.readers.bags.camera import stereo_camera
 from polemap.drivelog.readers.bags.clocks import compare_clocks, seconds
+from polemap.drivelog.readers.bags.described import (
+    HEAD,
+    POLES,
+    attached_files,
+    describe,
+    own_mapping,
+    pole_scans,
+    with_description,
+)
 from polemap.drivelog.readers.bags.files import is_log, open_containers
 from polemap.drivelog.readers.bags.frames import log_pictures, pair_pictures
 from polemap.drivelog.readers.bags.guess import Guess, guess, used_topics
@@ -60,7 +69,13 @@ class LogReader:
             InputError: no recording, or one that cannot be used; mistakes in the mapping.
         """
         index, made = survey(path, topics)
-        return _Build(path, index, made).drive()
+        files = attached_files(path) if topics is None else {}
+        if HEAD not in files:
+            return _Build(path, index, made).drive()
+        known = describe(files, str(path))
+        made = Guess(own_mapping(index.topics, known.drive))
+        scans = pole_scans(index.containers, known.view) if POLES in index.topics else ()
+        return with_description(_Build(path, index, made).drive(), known.drive, scans)
 
 
 def survey(path: Path, topics: Path | None = None) -> tuple[LogIndex, Guess]:

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # a receiver's deviation an axis at a dilution of one: the localizer's `gnss.sd_m`
-_SD_AT_DILUTION_ONE_M = 2.5
+SD_AT_DILUTION_ONE_M = 2.5
 _UNKNOWN_FRAME = (
     "{topic}: '{frame}' is not tied to the car by TF: its poses are taken to be those of the rear "
     "axle"
@@ -180,7 +180,7 @@ def gnss_stream(signals: Signals, part: m.GnssPart, frame: EarthFrame) -> GnssSt
     variance = (topic.column("var_east_m2") + topic.column("var_north_m2")) / 2.0
     known = np.isfinite(variance) & (variance > 0)
     hdop = np.ones(len(variance))
-    hdop[known] = np.sqrt(variance[known]) / _SD_AT_DILUTION_ONE_M
+    hdop[known] = np.sqrt(variance[known]) / SD_AT_DILUTION_ONE_M
     bad = (np.abs(columns[0]) > 90) | (np.abs(columns[1]) > 180)
     if lost := int(np.count_nonzero(bad & usable)):
         signals.problems["gnss_out_of_range"] += lost
@@ -195,7 +195,7 @@ def _local_fixes(signals: Signals, topic: Topic) -> GnssStream:
     """Positions of a receiver that works in a local frame already."""
     variance = (topic.column("var_x_m2") + topic.column("var_y_m2")) / 2.0
     known = np.isfinite(variance) & (variance > 0)
-    hdop = np.where(known, np.sqrt(np.where(known, variance, 1.0)) / _SD_AT_DILUTION_ONE_M, 1.0)
+    hdop = np.where(known, np.sqrt(np.where(known, variance, 1.0)) / SD_AT_DILUTION_ONE_M, 1.0)
     stamp, arrival, values = signals.in_order(
         topic, "gnss", np.stack([topic.column("x_m"), topic.column("y_m"), hdop], axis=1)
     )

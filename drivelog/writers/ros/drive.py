@@ -32,6 +32,17 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import geographic_from_grid
+from polemap.drivelog.readers.bags.described import (
+    FIX,
+    POLES,
+    POSITION,
+    REFERENCE,
+    SIDES,
+    TWIST,
+    image_topic,
+    info_topic,
+)
+from polemap.drivelog.readers.bags.signals import SD_AT_DILUTION_ONE_M
 from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose, Sample, StereoFrame
 from polemap.drivelog.writers.folder import CAR_FILE, drive_head, laps_text
 from polemap.drivelog.writers.ros import messages as ros
@@ -41,12 +52,7 @@ from polemap.vehicle.io import dump_car
 
 Floats = NDArray[np.float64]
 
-TWIST, FIX, POSITION, REFERENCE, POLES = (
-    "/vehicle/twist", "/gnss/fix", "/gnss/position", "/reference", "/poles",
-)  # fmt: skip
-SIDES = (("left", ros.LEFT_CAMERA), ("right", ros.RIGHT_CAMERA))
-# a fix of HDOP 1 is taken to scatter by this on either axis, as receivers' drivers do
-SD_M_PER_HDOP = 5.0
+CAMERAS = {"left": ros.LEFT_CAMERA, "right": ros.RIGHT_CAMERA}
 
 
 def write_drive_mcap(
@@ -133,7 +139,7 @@ class _SampleWriter:
         return REFERENCE, ros.odometry(sample.stamp_s, self._frame, place, covariance)
 
     def _fix(self, fix: GnssFix) -> tuple[str, Any]:
-        sd_m = SD_M_PER_HDOP * fix.hdop
+        sd_m = SD_AT_DILUTION_ONE_M * fix.hdop
         if not self._drive.frame.is_utm:
             place = np.array([fix.east_m, fix.north_m, 0.0])
             covariance = np.diag([sd_m**2, sd_m**2, 0.0])
@@ -149,17 +155,14 @@ class _SampleWriter:
         rig = self._drive.rig
         if rig is None:
             raise InputError(f"drive {self._drive.name}: it has images but no camera")
-        for (side, camera), image in zip(SIDES, (frame.left, frame.right), strict=True):
+        for side, image in zip(SIDES, (frame.left, frame.right), strict=True):
             done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
             if not done:
                 raise InputError(f"image {image.shape} {image.dtype} cannot be encoded")
-            picture = ros.compressed_image(frame.stamp_s, camera, "png", data.tobytes())
+            picture = ros.compressed_image(frame.stamp_s, CAMERAS[side], "png", data.tobytes())
             about = ros.camera_info(rig, frame.stamp_s, right=side == "right")
-            where = f"/stereo/{side}"
-            self._file.write(f"{where}/camera_info", about, frame.arrival_s, frame.stamp_s)
-            self._file.write(
-                f"{where}/image_rect/compressed", picture, frame.arrival_s, frame.stamp_s
-            )
+            self._file.write(info_topic(side), about, frame.arrival_s, frame.stamp_s)
+            self._file.write(image_topic(side), picture, frame.arrival_s, frame.stamp_s)
 
     def _mounting(self, log_s: float) -> None:
         antenna = (*map(float, self._drive.gnss_antenna_m), 0.0)

@@ -1,0 +1,1 @@
+"""`polemap localize --follow`: the pose while a drive is being recorded."""

@@ -1,0 +1,246 @@
+"""The localizer at work on a stream: one thread reads, one looks at pictures, one asks."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import isfinite, nan
+from threading import Condition, Event, Thread
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import PolemapError
+from polemap.drivelog.live.arrival import StreamTime
+from polemap.drivelog.live.pending import PendingFrame
+from polemap.drivelog.samples import GnssFix, OdometrySample
+from polemap.drivelog.streams import GnssStream, OdometryStream
+from polemap.localize.config import for_car
+from polemap.localize.localizer import Localizer, PoseUpdate
+from polemap.localize.output_filter.limiter import OutputPose
+from polemap.localize.output_trace import OutputTrace, particle_trajectory
+from polemap.localize.replay import Run
+from polemap.map.pole_map import PoleMap
+from polemap.perception import PolePerception
+from polemap.settings import Settings
+from polemap.tools.follow.source import Followed, Sample
+
+Floats = NDArray[np.float64]
+
+# ticks further in the past than this are given up: nobody steers by them
+_LATE_TICKS_S = 10.0
+# a tick that goes out later than this after its moment is counted
+_LATE_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One answer: the pose, when it went out on the stream's clock, and what was skipped so far."""
+
+    answer: OutputPose
+    lag_s: float
+    frames_skipped: int
+
+
+class Engine:
+    """Localizes a stream in real time.
+
+    Attributes:
+        counts: frames looked at, skipped and unreadable; ticks late and given up.
+    """
+
+    def __init__(
+        self, followed: Followed, pole_map: PoleMap | None, settings: Settings, seed: int
+    ) -> None:
+        """Prepare; nothing is read before `run`."""
+        car = followed.car
+        self._followed, self._rate_hz = followed, settings.localize.output.rate_hz
+        self._updates: list[PoseUpdate] = []
+        perception = PolePerception(car.rig, settings.polemap, stereo=settings.stereo)
+        self._tracker = PolePerception(car.rig, settings.polemap, stereo=settings.stereo)
+        self._localizer = Localizer(
+            pole_map,
+            for_car(settings.localize, car.car),
+            car.wheelbase_m,
+            np.random.default_rng(seed),
+            gnss_antenna_m=car.gnss_antenna_m,
+            perception=perception if car.rig is not None else None,
+            on_update=self._updates.append,
+            clock=time.perf_counter,
+        )
+        self._for_tracker: deque[OdometrySample] = deque(maxlen=20_000)
+        self._with_map = pole_map is not None
+        self.time = StreamTime(time.monotonic)
+        self.counts: Counter[str] = Counter()
+        self.perception_s = nan
+        self._trace = OutputTrace()
+        self._odometry, self._gnss = array("d"), array("d")
+        self._view: PendingFrame | Detections | None = None
+        self._waiting = Condition()
+        self._read_all, self._stop = False, Event()
+        self._error: BaseException | None = None
+
+    def run(
+        self,
+        stop: Event,
+        send: Callable[[Tick], None],
+        watch: Callable[[], None],
+    ) -> None:
+        """Until the stream ends or `stop` is set.
+
+        Args:
+            stop: ends it at the next tick.
+            send: takes every answer, in this thread.
+            watch: called some ten times a second, to say what is to be said.
+
+        Raises:
+            PolemapError: the stream cannot be read on.
+        """
+        threads = [
+            Thread(target=self._guarded, args=(work,), name=name, daemon=True)
+            for work, name in ((self._read, "reader"), (self._look, "pictures"))
+        ]
+        for thread in threads:
+            thread.start()
+        period = 1.0 / self._rate_hz
+        number: int | None = None
+        beats = 0
+        while not stop.is_set():
+            ended = not threads[0].is_alive()
+            number = self._ticks(number, send)
+            if self._error is not None or ended:
+                break
+            if beats % 10 == 0:
+                watch()
+            beats += 1
+            stop.wait(period)
+        self._stop.set()
+        with self._waiting:
+            self._read_all = True
+            self._waiting.notify_all()
+        threads[1].join()
+        self._ticks(number, send)
+        if self._error is not None:
+            raise self._error
+
+    def run_so_far(self) -> tuple[Run, Drive]:
+        """What `polemap localize` makes of a recorded drive, for its summary and its files."""
+        kf, output, flags, distrust = self._trace.result()
+        updates = tuple(self._updates)
+        run = Run(
+            particle_trajectory(updates), updates, kf, output, flags, distrust,
+            self._localizer.summary(), self._localizer.timings_s,
+        )  # fmt: skip
+        odometry = np.array(self._odometry).reshape(-1, 4)
+        gnss = np.array(self._gnss).reshape(-1, 5)
+        odometry = odometry[np.argsort(odometry[:, 0], kind="stable")]
+        gnss = gnss[np.argsort(gnss[:, 0], kind="stable")]
+        drive = replace(
+            self._followed.car,
+            images=None,
+            frame_stamps_s=np.empty(0),
+            odometry=OdometryStream(*odometry.T) if len(odometry) else None,
+            gnss=GnssStream(*gnss.T) if len(gnss) else None,
+            problems={**self._followed.counts, **self.counts},
+        )
+        return run, drive
+
+    def _ticks(self, number: int | None, send: Callable[[Tick], None]) -> int | None:
+        """Every tick that is due; the number of the next one."""
+        now = self.time.now_s()
+        if now is None:
+            return None
+        if number is None:
+            return int(now * self._rate_hz) + 1
+        oldest = int((now - _LATE_TICKS_S) * self._rate_hz)
+        if number < oldest:
+            self.counts["ticks_given_up"] += oldest - number
+            number = oldest
+        while number / self._rate_hz <= now:
+            stamp = number / self._rate_hz
+            number += 1
+            answer = self._localizer.pose_at(stamp)
+            if answer is None:
+                continue
+            lag_s = (self.time.now_s() or stamp) - stamp
+            self.counts["ticks_late"] += lag_s > _LATE_S
+            self._trace.append(stamp, answer)
+            send(Tick(answer, lag_s, self.counts["frames_skipped"]))
+        return number
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BaseException as error:  # handed to the thread that asks
+            self._error = error
+            self._stop.set()
+
+    # the reader
+
+    def _read(self) -> None:
+        for sample in self._followed.samples:
+            if self._stop.is_set():
+                return
+            self._take(sample)
+
+    def _take(self, sample: Sample) -> None:
+        log_s = sample.arrival_s if isfinite(sample.arrival_s) else sample.stamp_s
+        sample = replace(sample, arrival_s=self.time.arrival_s(log_s))
+        if isinstance(sample, OdometrySample):
+            self._localizer.add_sample(sample)
+            self._for_tracker.append(sample)
+            self._odometry.extend(
+                (sample.stamp_s, sample.arrival_s, sample.speed_mps, sample.yaw_rate_radps)
+            )
+        elif isinstance(sample, GnssFix):
+            self._localizer.add_sample(sample)
+            self._gnss.extend(
+                (sample.stamp_s, sample.arrival_s, sample.east_m, sample.north_m, sample.hdop)
+            )
+        elif self._with_map:
+            self._hand_over(sample)
+        self.time.note(log_s)
+
+    def _hand_over(self, view: PendingFrame | Detections) -> None:
+        """The newest view waits for its turn; one that waits already is given up for it."""
+        with self._waiting:
+            if self._view is not None:
+                self.counts["frames_skipped"] += 1
+            self._view = view
+            self._waiting.notify()
+
+    # the pictures
+
+    def _look(self) -> None:
+        while True:
+            with self._waiting:
+                while self._view is None and not self._read_all:
+                    self._waiting.wait(0.5)
+                view, self._view = self._view, None
+            if view is None:
+                return
+            begin = time.perf_counter()
+            self._process(view)
+            spent = time.perf_counter() - begin
+            known = isfinite(self.perception_s)
+            self.perception_s += 0.1 * (spent - self.perception_s) if known else 0.0
+            self.perception_s = self.perception_s if known else spent
+
+    def _process(self, view: PendingFrame | Detections) -> None:
+        try:
+            if isinstance(view, PendingFrame):
+                self._localizer.add_sample(view.decoded())
+            else:
+                while self._for_tracker:
+                    self._tracker.record_odometry(self._for_tracker.popleft())
+                self._localizer.add_sample(self._tracker.track_scan(view))
+        except PolemapError as error:  # damaged, or pictures that do not fit the camera
+            self.counts["frames_unusable"] += 1
+            self._followed.reasons.setdefault("frames_unusable", str(error))
+            return
+        self.counts["frames_looked_at"] += 1
