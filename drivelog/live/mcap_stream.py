@@ -50,7 +50,7 @@ def read_stream(source: GrowingBytes) -> Iterator[StreamMessage | StreamFile]:
     ends: tuple[type[Exception], ...] = (need("mcap.exceptions").EndOfFile,)
     schemas: dict[int, Any] = {}
     channels: dict[int, Channel] = {}
-    reader = reading.StreamReader(source, record_size_limit=_LARGEST_RECORD)
+    reader = reading.StreamReader(source, record_size_limit=_LARGEST_RECORD, validate_crcs=True)
     try:
         for record in reader.records:
             if isinstance(record, records.Message):

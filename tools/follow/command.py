@@ -26,6 +26,7 @@ from polemap.map.io import read_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
 from polemap.tools import interrupts
+from polemap.tools.follow.address import parse_address
 from polemap.tools.follow.engine import Engine, Tick
 from polemap.tools.follow.lines import tick_line
 from polemap.tools.follow.source import Followed, open_followed
@@ -67,6 +68,8 @@ def follow(asked: Asked) -> int:
         check_folder(asked.out, "run", (*named, None if asked.source == "-" else asked.source))
     if asked.source != "-" and not Path(asked.source).is_file():
         raise InputError(f"{asked.source}: no such file to follow; - follows standard input")
+    if asked.serve is not None:
+        parse_address(asked.serve)
     stop = Event()
     with interrupts.asked_to_end(stop):
         source = GrowingBytes(asked.source, stop, asked.idle_s)
@@ -107,7 +110,7 @@ def _sender(
             sys.stdout.flush()
 
         return write
-    from polemap.tools.follow.server import FoxgloveServer, parse_address
+    from polemap.tools.follow.server import FoxgloveServer
 
     server = FoxgloveServer(parse_address(asked.serve), frame, pole_map)
     stack.callback(server.close)

@@ -34,6 +34,9 @@ Floats = NDArray[np.float64]
 
 # ticks further in the past than this are given up: nobody steers by them
 _LATE_TICKS_S = 10.0
+# views come in bursts, a chunk of the recorder at a time; one that has waited longer is passed over
+# for a newer one, so that its pose still reaches the output filter within its horizon
+_BEHIND_S, _MOST_WAITING = 0.3, 64
 # a tick that goes out later than this after its moment is counted
 _LATE_S = 0.05
 
@@ -80,7 +83,7 @@ class Engine:
         self.perception_s = nan
         self._trace = OutputTrace()
         self._odometry, self._gnss = array("d"), array("d")
-        self._view: PendingFrame | Detections | None = None
+        self._views: deque[PendingFrame | Detections] = deque()
         self._waiting = Condition()
         self._read_all, self._stop = False, Event()
         self._error: BaseException | None = None
@@ -207,23 +210,29 @@ class Engine:
         self.time.note(log_s)
 
     def _hand_over(self, view: PendingFrame | Detections) -> None:
-        """The newest view waits for its turn; one that waits already is given up for it."""
+        """A view waits for its turn; the oldest is given up where too many do."""
         with self._waiting:
-            if self._view is not None:
+            if len(self._views) == _MOST_WAITING:
+                self._views.popleft()
                 self.counts["frames_skipped"] += 1
-            self._view = view
+            self._views.append(view)
             self._waiting.notify()
 
     # the pictures
 
+    def _next_view(self) -> PendingFrame | Detections | None:
+        """The oldest view that has not waited too long, else the newest; None at the end."""
+        with self._waiting:
+            while not self._views and not self._read_all:
+                self._waiting.wait(0.5)
+            now = self.time.now_s() or 0.0
+            while len(self._views) > 1 and now - self._views[0].arrival_s > _BEHIND_S:
+                self._views.popleft()
+                self.counts["frames_skipped"] += 1
+            return self._views.popleft() if self._views else None
+
     def _look(self) -> None:
-        while True:
-            with self._waiting:
-                while self._view is None and not self._read_all:
-                    self._waiting.wait(0.5)
-                view, self._view = self._view, None
-            if view is None:
-                return
+        while (view := self._next_view()) is not None:
             begin = time.perf_counter()
             self._process(view)
             spent = time.perf_counter() - begin

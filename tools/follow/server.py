@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.errors import ConfigError, InputError, OutputError
+from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.writers.ros import messages as ros
 from polemap.drivelog.writers.ros.mcap_file import nanoseconds
@@ -35,7 +35,6 @@ from polemap.vehicle.pose import pose_rotation
 Floats = NDArray[np.float64]
 
 SUBPROTOCOL = "foxglove.websocket.v1"
-LOOPBACK = "127.0.0.1"
 _HEAD = struct.Struct("<BIQ")
 _MESSAGE_DATA = 1
 # messages that wait for a viewer which reads too slowly; half a second of all channels
@@ -43,19 +42,6 @@ _WAITING = 200
 _LARGEST_REQUEST = 1 << 20
 # channels that keep their last message for viewers that come later
 _LATCHED = ("/map/poles", "/car")
-
-
-def parse_address(text: str) -> tuple[str, int]:
-    """`[HOST:]PORT`; without a host this computer alone can connect.
-
-    Raises:
-        ConfigError: no port between 0 and 65535.
-    """
-    host, colon, port = text.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    if (colon and not host) or not port.isdecimal() or int(port) > 65535:
-        raise ConfigError(f"--serve {text[:60]}: expected [HOST:]PORT, such as 8765")
-    return host or LOOPBACK, int(port)
 
 
 @dataclass(slots=True, eq=False)
