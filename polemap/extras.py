@@ -23,6 +23,8 @@ EXTRA_OF = {
     "mcap_protobuf": "bags",
     "mcap_ros2": "bags",
     "rosbags": "bags",
+    "lz4": "bags",
+    "zstandard": "bags",
     "rerun": "viewer",
     "websockets": "viewer",
 }
