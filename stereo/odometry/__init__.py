@@ -1,0 +1,1 @@
+"""Motion of the stereo camera from one pair to the next: corners, tracks, robust motion."""

@@ -1,0 +1,271 @@
+"""Stereo visual odometry on one screen: corners -> tracks -> right view -> motion -> points.
+
+Every corner that is followed keeps its place relative to the camera with a covariance, which each
+further sight of it sharpens: the motion of a frame is measured against points that many frames
+made, not against one noisy pair.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.stereo.errors import StereoError
+from polemap.stereo.odometry.corners import (
+    Bools,
+    Floats,
+    Grey,
+    eight_bit,
+    find_corners,
+    follow,
+    same_exposure,
+)
+from polemap.stereo.odometry.motion import (
+    MotionFit,
+    fit_motion,
+    move,
+    project,
+    project_jacobian,
+    triangulate,
+)
+from polemap.stereo.rig import StereoRig
+
+# noise of a corner's columns and row in pixels: Lucas-Kanade on these windows; residuals of
+# rendered drives with known motion agree (their NEES stands in docs/camera_odometry.md)
+CORNER_SD_PX = 0.3
+# points are held against a motion that has errors of its own, so they are forgotten a little
+_FORGET = 1.1
+# fewer points that agree than these are no measurement of six numbers
+_INLIERS_MIN = 12
+_INLIER_SHARE_MIN = 0.35
+# what no car does between two pictures
+_ACCELERATION_MAX_MPS2 = 15.0
+_TURN_ACCELERATION_MAX_RADPS2 = 8.0
+_STILL_CHANGE_M, _STILL_CHANGE_RAD = 0.1, 0.02
+# rows of a rectified pair agree to this, about their common offset
+_ROW_TOLERANCE_PX = 1.0
+_DISPARITY_MIN_PX = 0.5
+_FIRST_DISPARITY_PX = 10.0
+_LEVELS, _LEVELS_UNSURE = 2, 4
+_NEAREST_M = 1.5
+# Rectification leaves a constant error in all disparities (0.1 to 0.3 px on KITTI and on rendered
+# pairs as the tracker sees them), a percent or two of every step. Frames share their points, so
+# that each counts for a tenth of what it says; a calibration changes by temperature, slowly.
+_OFFSET_SD_PX = 0.3
+_OFFSET_TRUST = 0.1
+_OFFSET_WALK_PX = 0.002
+_OFFSET_MAX_PX = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraMotion:
+    """What the camera did from the pair before to this one.
+
+    Attributes:
+        current_from_previous: `(4, 4)`: points in the axes of the left camera before to those of
+            the camera now; the identity where `known` is False.
+        covariance: `(6, 6)` of translation (m) and rotation vector (rad) in the current axes.
+        tracked, inliers: points that were found again, and those that the motion explains.
+        known: whether this is a measurement.
+        why: what stands against it, empty if nothing does.
+    """
+
+    current_from_previous: Floats
+    covariance: Floats
+    tracked: int
+    inliers: int
+    known: bool
+    why: str = ""
+
+
+class CameraOdometry:
+    """Follows corners through the rectified grey pairs of one stereo camera.
+
+    Args:
+        rig: the camera.
+        bits: of pictures with 16-bit pixels; 8-bit ones ignore it.
+
+    Attributes:
+        disparity_offset_px: learned constant error of the disparities, subtracted from them.
+    """
+
+    def __init__(self, rig: StereoRig, *, bits: int = 16) -> None:
+        self._rig, self._bits = rig, bits
+        self._noise = CORNER_SD_PX**2 * np.eye(3)
+        self._before: Grey | None = None
+        self._stamp_s = 0.0
+        self._step_s = 0.0
+        self._last = np.eye(4)
+        self._sure = False
+        self._row_offset_px = 0.0
+        self.disparity_offset_px = 0.0
+        self._offset_variance_px2 = _OFFSET_SD_PX**2
+        self._forget_points()
+
+    def advance(
+        self,
+        stamp_s: float,
+        left: NDArray[np.uint8] | NDArray[np.uint16],
+        right: NDArray[np.uint8] | NDArray[np.uint16],
+    ) -> CameraMotion:
+        """The motion since the pair before; unknown for the first one.
+
+        Raises:
+            StereoError: pictures of another size than the camera's, or a stamp that does not
+                follow the one before.
+        """
+        views = self._checked(stamp_s, left, right)
+        step_s = stamp_s - self._stamp_s
+        rows, places, guess = self._track(views[0], step_s)
+        corners = np.concatenate([places, find_corners(views[0], places)])
+        seen, good = self._match_right(views, corners, guess)
+        old = len(places)
+        motion = self._measure(rows[good[:old]], seen[:old][good[:old]], step_s)
+        points, spreads = triangulate(self._rig, seen[old:][good[old:]], self._noise)
+        self._seen = np.concatenate([self._seen, seen[old:][good[old:]]])
+        self._points = np.concatenate([self._points, points])
+        self._spreads = np.concatenate([self._spreads, spreads])
+        self._before, self._stamp_s, self._step_s = views[0], stamp_s, step_s
+        return motion
+
+    def _checked(self, stamp_s: float, left: NDArray, right: NDArray) -> tuple[Grey, Grey]:  # type: ignore[type-arg]
+        size = (self._rig.height_px, self._rig.width_px)
+        for name, picture in (("left", left), ("right", right)):
+            if picture.shape != size:
+                raise StereoError(
+                    f"the {name} picture at {stamp_s:.6f} s is {picture.shape[1]}x"
+                    f"{picture.shape[0]}, the camera's are {size[1]}x{size[0]}"
+                )
+        if self._before is not None and not stamp_s > self._stamp_s:
+            raise StereoError(f"stamp {stamp_s:.6f} s does not follow {self._stamp_s:.6f} s")
+        view = eight_bit(left, self._bits)
+        if self._before is not None:
+            view = same_exposure(view, self._before)
+        return view, same_exposure(eight_bit(right, self._bits), view)
+
+    def _track(self, view: Grey, step_s: float) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Rows of the points that were found again, their places, and their disparity guessed."""
+        if self._before is None or not len(self._points):
+            return np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty(0)
+        expected = move(self._predicted(step_s), self._points)
+        front = expected[:, 2] > _NEAREST_M
+        expected[~front] = (0.0, 0.0, 10.0)
+        guess = project(self._rig, expected)
+        levels = _LEVELS if self._sure else _LEVELS_UNSURE
+        places, found = follow(self._before, view, self._seen[:, :2], guess[:, :2], levels)
+        rows = np.flatnonzero(found & front)
+        return rows, places[rows], (guess[:, 0] - guess[:, 2])[rows]
+
+    def _predicted(self, step_s: float) -> Floats:
+        """The last motion, for as long as this step; none after a gap."""
+        if not self._sure or not 0.5 < step_s / self._step_s < 2.0:
+            return np.eye(4)
+        return self._last
+
+    def _match_right(
+        self, views: tuple[Grey, Grey], corners: Floats, guess: Floats
+    ) -> tuple[Floats, Bools]:
+        """`(u, v, u')` of corners, and which are believed."""
+        disparity = np.full(len(corners), _FIRST_DISPARITY_PX)
+        known = len(guess)
+        disparity[:known] = guess
+        if known > 20 and len(corners) > known:
+            # the scene is smooth: a new corner is about as far as the nearest known one
+            apart = ((corners[known:, None, :] - corners[None, :known, :]) ** 2).sum(axis=2)
+            disparity[known:] = guess[apart.argmin(axis=1)]
+        start = corners - np.column_stack([disparity, np.full(len(corners), -self._row_offset_px)])
+        start[:, 0] -= self.disparity_offset_px
+        levels = _LEVELS if self._sure else _LEVELS_UNSURE
+        found, good = follow(views[0], views[1], corners, start, max(levels, 3))
+        rows_px = found[:, 1] - corners[:, 1]
+        apart_px = corners[:, 0] - found[:, 0] - self.disparity_offset_px
+        good &= apart_px > _DISPARITY_MIN_PX
+        if self._before is None and good.sum() > 20:
+            self._row_offset_px = float(np.median(rows_px[good]))
+        good &= np.abs(rows_px - self._row_offset_px) < _ROW_TOLERANCE_PX
+        if good.sum() > 20:
+            self._row_offset_px += 0.1 * float(np.median(rows_px[good]) - self._row_offset_px)
+        return np.column_stack([corners, found[:, 0] + self.disparity_offset_px]), good
+
+    def _measure(self, rows: NDArray[np.int64], seen: Floats, step_s: float) -> CameraMotion:
+        """The motion, and the points moved by it and sharpened; without one they are forgotten."""
+        if self._before is None:
+            return self._unknown(0, 0, "this is the first pair")
+        if len(rows) < _INLIERS_MIN:
+            self._lose()
+            return self._unknown(len(rows), 0, f"{len(rows)} corners were found again")
+        points, spreads = self._points[rows], self._spreads[rows]
+        fit = fit_motion(
+            self._rig, points, spreads, seen, self._noise, self._predicted(step_s)
+        )
+        inliers = int(fit.inliers.sum())
+        why = self._doubt(fit, step_s)
+        if why:
+            self._lose()
+            return self._unknown(len(rows), inliers, why)
+        self._last, self._sure = fit.current_from_previous, True
+        keep = fit.inliers
+        self._sharpen(fit, points[keep], spreads[keep], seen[keep])
+        return CameraMotion(
+            fit.current_from_previous, fit.covariance, len(rows), inliers, known=True
+        )
+
+    def _doubt(self, fit: MotionFit, step_s: float) -> str:
+        inliers = int(fit.inliers.sum())
+        if inliers < _INLIERS_MIN or inliers < _INLIER_SHARE_MIN * len(fit.inliers):
+            return f"{inliers} of {len(fit.inliers)} corners agree on a motion"
+        if not np.isfinite(fit.covariance).all():
+            return "the corners do not determine a motion"
+        if not self._sure or step_s > 1.0:
+            return ""
+        before = self._last[:3, 3] * (step_s / self._step_s)
+        change = float(np.linalg.norm(fit.current_from_previous[:3, 3] - before))
+        if change > _STILL_CHANGE_M + _ACCELERATION_MAX_MPS2 * step_s**2:
+            return f"the step changes by {change:.2f} m from one pair to the next"
+        turn = fit.current_from_previous[:3, :3] @ self._last[:3, :3].T
+        angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
+        if angle > _STILL_CHANGE_RAD + _TURN_ACCELERATION_MAX_RADPS2 * step_s**2:
+            return f"the turn changes by {angle:.3f} rad from one pair to the next"
+        return ""
+
+    def _sharpen(self, fit: MotionFit, points: Floats, spreads: Floats, seen: Floats) -> None:
+        """Kalman steps of all points together: moved by the motion, then measured."""
+        turn = fit.current_from_previous[:3, :3]
+        moved = move(fit.current_from_previous, points)
+        spread = _FORGET * (turn @ spreads @ turn.T)
+        jacobian = project_jacobian(self._rig, moved)
+        across = spread @ np.swapaxes(jacobian, 1, 2)
+        gain = across @ np.linalg.inv(jacobian @ across + self._noise)
+        residual = seen - project(self._rig, moved)
+        self._seen = seen
+        self._points = moved + np.einsum("nij,nj->ni", gain, residual)
+        self._spreads = spread - gain @ np.swapaxes(across, 1, 2)
+        self._learn_offset(*fit.offset_px)
+
+    def _learn_offset(self, gradient: float, information: float) -> None:
+        """A scalar Kalman step; points known so far are moved to where they now are."""
+        self._offset_variance_px2 += _OFFSET_WALK_PX**2
+        total = 1.0 / self._offset_variance_px2 + _OFFSET_TRUST * information
+        change = _OFFSET_TRUST * gradient / total
+        self._offset_variance_px2 = 1.0 / total
+        limit = _OFFSET_MAX_PX - abs(self.disparity_offset_px)
+        change = float(np.clip(change, -limit, limit))
+        self.disparity_offset_px += change
+        disparity = self._rig.focal_px * self._rig.baseline_m / self._points[:, 2]
+        self._points *= (disparity / np.maximum(disparity - change, 0.1))[:, None]
+
+    def _lose(self) -> None:
+        self._sure, self._last = False, np.eye(4)
+        self._forget_points()
+
+    def _forget_points(self) -> None:
+        self._seen = np.empty((0, 3))
+        self._points = np.empty((0, 3))
+        self._spreads = np.empty((0, 3, 3))
+
+    def _unknown(self, tracked: int, inliers: int, why: str) -> CameraMotion:
+        return CameraMotion(
+            np.eye(4), np.full((6, 6), np.inf), tracked, inliers, known=False, why=why
+        )
