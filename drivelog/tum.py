@@ -7,6 +7,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError
@@ -14,6 +16,8 @@ from polemap.parsing.errors import named
 from polemap.parsing.text import MEGABYTE, check_size
 from polemap.vehicle.pose import wrap_angle
 from polemap.vehicle.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
 
 TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 LARGEST_BYTES = 20_000 * MEGABYTE
@@ -90,6 +94,13 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write the trajectory in full precision."""
     with atomic_file(path) as part:
         part.write_text(tum_text(trajectory), encoding="utf-8")
+
+
+def spatial_tum_text(stamps_s: Floats, poses: Floats) -> str:
+    """Rigid poses `(n, 4, 4)` as TUM lines in full precision."""
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    table = np.column_stack([stamps_s, poses[:, :3, 3], quaternions])
+    return "".join(" ".join(map(_shortest, row)) + "\n" for row in table.tolist())
 
 
 def _shortest(value: float) -> str:

@@ -27,6 +27,7 @@ VERBS = {
     "convert": ("convert", "Write drives, runs and logs in another form."),
     "calibrate": ("calibrate", "Check and estimate the calibration of a drive."),
     "disparity": ("disparity", "Match one rectified stereo pair."),
+    "odometry": ("odometry", "Follow the stereo camera of a drive."),
     "detect": ("detect", "Find the poles in the frames of a drive."),
     "train": ("train", "Train the pole classifier on drives with a known pole map."),
     "map": ("map", "Build, update or compare pole maps."),

@@ -70,6 +70,7 @@ class CameraMotion:
         tracked, inliers: points that were found again, and those that the motion explains.
         known: whether this is a measurement.
         why: what stands against it, empty if nothing does.
+        kind: the same without figures, to be counted.
     """
 
     current_from_previous: Floats
@@ -78,6 +79,7 @@ class CameraMotion:
     inliers: int
     known: bool
     why: str = ""
+    kind: str = ""
 
 
 class CameraOdometry:
@@ -102,7 +104,9 @@ class CameraOdometry:
         self._row_offset_px = 0.0
         self.disparity_offset_px = 0.0
         self._offset_variance_px2 = _OFFSET_SD_PX**2
-        self._forget_points()
+        self._seen: Floats = np.empty((0, 3))
+        self._points: Floats = np.empty((0, 3))
+        self._spreads: Floats = np.empty((0, 3, 3))
 
     def advance(
         self,
@@ -192,19 +196,19 @@ class CameraOdometry:
     def _measure(self, rows: NDArray[np.int64], seen: Floats, step_s: float) -> CameraMotion:
         """The motion, and the points moved by it and sharpened; without one they are forgotten."""
         if self._before is None:
-            return self._unknown(0, 0, "this is the first pair")
+            return self._unknown(0, 0, "first pair", "this is the first pair")
         if len(rows) < _INLIERS_MIN:
             self._lose()
-            return self._unknown(len(rows), 0, f"{len(rows)} corners were found again")
+            return self._unknown(
+                len(rows), 0, "too few corners", f"{len(rows)} corners were found again"
+            )
         points, spreads = self._points[rows], self._spreads[rows]
-        fit = fit_motion(
-            self._rig, points, spreads, seen, self._noise, self._predicted(step_s)
-        )
+        fit = fit_motion(self._rig, points, spreads, seen, self._noise, self._predicted(step_s))
         inliers = int(fit.inliers.sum())
-        why = self._doubt(fit, step_s)
-        if why:
+        doubt = self._doubt(fit, step_s)
+        if doubt is not None:
             self._lose()
-            return self._unknown(len(rows), inliers, why)
+            return self._unknown(len(rows), inliers, *doubt)
         self._last, self._sure = fit.current_from_previous, True
         keep = fit.inliers
         self._sharpen(fit, points[keep], spreads[keep], seen[keep])
@@ -212,23 +216,24 @@ class CameraOdometry:
             fit.current_from_previous, fit.covariance, len(rows), inliers, known=True
         )
 
-    def _doubt(self, fit: MotionFit, step_s: float) -> str:
+    def _doubt(self, fit: MotionFit, step_s: float) -> tuple[str, str] | None:
+        """What stands against a motion: its kind, and the same with figures."""
         inliers = int(fit.inliers.sum())
         if inliers < _INLIERS_MIN or inliers < _INLIER_SHARE_MIN * len(fit.inliers):
-            return f"{inliers} of {len(fit.inliers)} corners agree on a motion"
+            return "no common motion", f"{inliers} of {len(fit.inliers)} corners agree on a motion"
         if not np.isfinite(fit.covariance).all():
-            return "the corners do not determine a motion"
+            return "undetermined", "the corners do not determine a motion"
         if not self._sure or step_s > 1.0:
-            return ""
+            return None
         before = self._last[:3, 3] * (step_s / self._step_s)
         change = float(np.linalg.norm(fit.current_from_previous[:3, 3] - before))
         if change > _STILL_CHANGE_M + _ACCELERATION_MAX_MPS2 * step_s**2:
-            return f"the step changes by {change:.2f} m from one pair to the next"
+            return "no car's motion", f"the step changes by {change:.2f} m from pair to pair"
         turn = fit.current_from_previous[:3, :3] @ self._last[:3, :3].T
         angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
         if angle > _STILL_CHANGE_RAD + _TURN_ACCELERATION_MAX_RADPS2 * step_s**2:
-            return f"the turn changes by {angle:.3f} rad from one pair to the next"
-        return ""
+            return "no car's motion", f"the turn changes by {angle:.3f} rad from pair to pair"
+        return None
 
     def _sharpen(self, fit: MotionFit, points: Floats, spreads: Floats, seen: Floats) -> None:
         """Kalman steps of all points together: moved by the motion, then measured."""
@@ -265,7 +270,6 @@ class CameraOdometry:
         self._points = np.empty((0, 3))
         self._spreads = np.empty((0, 3, 3))
 
-    def _unknown(self, tracked: int, inliers: int, why: str) -> CameraMotion:
-        return CameraMotion(
-            np.eye(4), np.full((6, 6), np.inf), tracked, inliers, known=False, why=why
-        )
+    def _unknown(self, tracked: int, inliers: int, kind: str, why: str) -> CameraMotion:
+        nothing = np.full((6, 6), np.inf)
+        return CameraMotion(np.eye(4), nothing, tracked, inliers, known=False, why=why, kind=kind)

@@ -42,8 +42,8 @@ def find_corners(picture: Grey, taken_px: Floats) -> Floats:
     if not rows or not columns:
         return np.empty((0, 2))
     blocks = strength[: rows * cell_y, : columns * cell_x]
-    cells = blocks.reshape(rows, cell_y, columns, cell_x).transpose(0, 2, 1, 3)
-    cells = cells.reshape(rows * columns, cell_y * cell_x)
+    by_cell = blocks.reshape(rows, cell_y, columns, cell_x).transpose(0, 2, 1, 3)
+    cells = by_cell.reshape(rows * columns, cell_y * cell_x)
     best = cells.argmax(axis=1)
     number = np.arange(rows * columns)
     row, column = divmod(number, columns)
@@ -56,7 +56,7 @@ def find_corners(picture: Grey, taken_px: Floats) -> Floats:
         free[place[:, 1] * columns + place[:, 0]] = False
     good = free & (cells[number, best] > _TEXTURE_MIN)
     good &= inside(np.column_stack([x, y]), picture, _BORDER_PX)
-    return np.column_stack([x, y])[good]
+    return np.asarray(np.column_stack([x, y])[good])
 
 
 def inside(points_px: Floats, picture: Grey, border_px: float) -> Bools:

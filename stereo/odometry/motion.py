@@ -1,7 +1,7 @@
 """The motion of the camera that moves known points to where they are seen now.
 
-A point is seen as `z = (u, v, u')`: column and row in the left picture, column in the right one. Its
-place `X` before has a covariance `P`; the motion `(R, t)` of the six degrees of freedom minimises
+A point is seen as `z = (u, v, u')`: column and row in the left picture, column in the right one.
+Its place `X` before has a covariance `P`; the motion `(R, t)` of six degrees of freedom minimises
 
     sum rho(r' S^-1 r),  r = z - h(R X + t),  S = H R P R' H' + V
 
@@ -29,6 +29,9 @@ Bools = NDArray[np.bool_]
 # chi-square of three degrees of freedom that one point in a thousand exceeds
 GATE = 16.27
 _NEAREST_M = 0.5
+# corners beside each other err alike (texture, slanted ground), and points keep their errors from
+# frame to frame: four times the variance that independent corners would leave, as measured
+_CORRELATED = 4.0
 _STEPS = 10
 _SETTLED = 1e-5
 _PNP_REPROJECTION_PX = 1.5
@@ -143,7 +146,7 @@ def _refine(
 ) -> MotionFit:
     transform = guess.copy()
     width = 1.0
-    information = np.eye(6)
+    information: Floats = np.eye(6)
     for step in range(_STEPS):
         turn = transform[:3, :3]
         now = move(transform, points_m)
@@ -151,7 +154,7 @@ def _refine(
         jacobian = project_jacobian(rig, now)
         residual = seen_px - project(rig, now)
         spread = jacobian @ (turn @ covariances_m2 @ turn.T) @ np.swapaxes(jacobian, 1, 2)
-        inverse = np.linalg.inv(spread + noise_px2)
+        inverse = np.asarray(np.linalg.inv(spread + noise_px2), dtype=np.float64)
         distance = np.einsum("ni,nij,nj->n", residual, inverse, residual)
         # a bad guess makes all residuals large: begin as wide as half of them are
         width = max(1.0, float(np.median(distance)) / 2.4 if wide and step == 0 else 0.5 * width)
@@ -169,7 +172,7 @@ def _refine(
         if width == 1.0 and np.abs(change).max() < _SETTLED:
             break
     inliers = distance < GATE
-    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+    covariance = _CORRELATED * np.asarray(np.linalg.pinv(information, hermitian=True))
     # weights that understate what the residuals show would make the covariance too small
     if inliers.sum() > 4:
         covariance = covariance * max(1.0, float(distance[inliers].mean()) / 3.0)
