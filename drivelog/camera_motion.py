@@ -14,6 +14,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.streams import OdometryStream
 from polemap.stereo.odometry.camera_odometry import CameraMotion, CameraOdometry
+from polemap.stereo.odometry.motion import vehicle_step
 from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
@@ -67,12 +68,11 @@ class CameraTrack:
         return OdometryStream(rows.stamp_s, rows.arrival_s, rows.speed_mps, rows.yaw_rate_radps)
 
 
-def track_camera(drive: Drive, advance: Callable[[int], None], *, bits: int = 16) -> CameraTrack:
+def track_camera(drive: Drive, advance: Callable[[int], None]) -> CameraTrack:
     """Follow the camera through all pairs of a drive.
 
     Args:
         advance: called with 1 after every pair.
-        bits: of pictures with 16-bit pixels.
 
     Raises:
         InputError: the drive has no stereo pairs, or one cannot be read.
@@ -81,7 +81,7 @@ def track_camera(drive: Drive, advance: Callable[[int], None], *, bits: int = 16
         raise InputError(
             f"drive {drive.name}: camera odometry needs stereo pictures, and it has none"
         )
-    odometry = CameraOdometry(drive.rig, bits=bits)
+    odometry = CameraOdometry(drive.rig)
     poses = np.tile(np.eye(4), (len(drive.frame_stamps_s), 1, 1))
     rows: list[tuple[float, ...]] = []
     unknown: Counter[str] = Counter()
@@ -112,21 +112,16 @@ def planar_step(rig: StereoRig, motion: CameraMotion, step_s: float) -> tuple[fl
     The displacement is that of an arc: its chord, seen from the heading halfway, is shorter than
     the way by `sin(a) / a` with half the turn `a`.
     """
-    mount = rig.vehicle_from_camera
-    turn = mount.rotation()
-    rotation = turn @ motion.current_from_previous[:3, :3].T @ turn.T
-    lever = np.array([mount.x_m, mount.y_m, mount.z_m])
-    shift = -turn @ motion.current_from_previous[:3, :3].T @ motion.current_from_previous[:3, 3]
-    moved = shift + lever - rotation @ lever
-    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    step = vehicle_step(rig, motion.current_from_previous)
+    yaw, moved = float(np.arctan2(step[1, 0], step[0, 0])), step[:2, 3]
     half = 0.5 * yaw
     along = moved[0] * np.cos(half) + moved[1] * np.sin(half)
     across = -moved[0] * np.sin(half) + moved[1] * np.cos(half)
     arc = 1.0 / np.sinc(half / np.pi)
     # axes of the vehicle in those of the camera; the lever arm of the yaw acts across, not along
-    ahead, up = turn.T[:, 0], turn.T[:, 2]
-    beside = -lever[1] * up
-    by_speed = np.concatenate([ahead, beside])
+    mount = rig.vehicle_from_camera
+    ahead, _, up = mount.rotation()
+    by_speed = np.concatenate([ahead, -mount.y_m * up])
     speed_sd = float(np.sqrt(by_speed @ motion.covariance @ by_speed))
     yaw_sd = float(np.sqrt(up @ motion.covariance[3:, 3:] @ up))
     return (

@@ -90,6 +90,7 @@ class Drive:
         notes: what a reader of a result must know about the input (derived sensors, say).
         problems: counts of bad input that was left out, by kind.
         findings: what the reader itself saw in the input that cannot be right.
+        odometry_is_derived: whether the odometry was made from the reference.
     """
 
     name: str
@@ -111,6 +112,7 @@ class Drive:
     problems: Mapping[str, int] = field(default_factory=dict)
     car: Car | None = None
     findings: tuple[Finding, ...] = ()
+    odometry_is_derived: bool = False
 
     @property
     def has_frames(self) -> bool:

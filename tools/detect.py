@@ -14,7 +14,7 @@ from rich.table import Table
 
 from polemap.detect.models.io import read_classifier
 from polemap.drivelog.atomic import atomic_folder, check_folder
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
@@ -22,8 +22,15 @@ from polemap.map.pole_map import PoleMap
 from polemap.perception import PerceivedFrame, PolePerception, perceive_drive
 from polemap.settings import Settings, load_settings
 from polemap.tools.detect_pictures import write_overlay
+from polemap.tools.drive_detection import Source
 from polemap.tools.findings import require_plausible
-from polemap.tools.option_types import ConfigOption, ForceOption, SetOption, TopicsOption
+from polemap.tools.option_types import (
+    ConfigOption,
+    ForceOption,
+    OdometryOption,
+    SetOption,
+    TopicsOption,
+)
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 from polemap.vehicle.pose import inverse_transform_points
@@ -53,6 +60,7 @@ def command(
         int, typer.Option("--seed", min=0, help="Of sensors that have to be derived.")
     ] = 0,
     topics: TopicsOption = None,
+    odometry: OdometryOption = "auto",
     force: ForceOption = False,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -70,7 +78,8 @@ def command(
     """
     check_folder(out, KIND, (drive, evaluate, unmapped, config, topics))
     settings = load_settings(config, set_values)
-    opened = open_drive(drive, seed=seed, topics=topics)
+    mapping = None if topics is None else str(topics)
+    opened = Source(str(drive), None, mapping, odometry).open(seed)
     if opened.rig is None or not opened.has_frames:
         raise InputError(f"drive {opened.name}: it has no stereo images to detect poles in")
     wanted = _range(frames, len(opened.frame_stamps_s))

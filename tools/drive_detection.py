@@ -20,10 +20,12 @@ import numpy as np
 from polemap import __version__
 from polemap.config import PolemapConfig
 from polemap.drivelog.atomic import scratch_folder
+from polemap.drivelog.camera_motion import CameraTrack, track_camera
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.jobs import Advance, LocalWorkers, run_jobs
+from polemap.drivelog.odometry_choice import with_odometry
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.tools.detection_cache import (
@@ -34,6 +36,7 @@ from polemap.tools.detection_cache import (
     read_scans,
     write_scans,
 )
+from polemap.tools.progress import progress
 
 FRAMES_A_TASK = 20
 # What a detection depends on; the rest of the settings may change without detecting again.
@@ -46,16 +49,33 @@ class Source:
 
     Attributes:
         topics: mapping of the topics of a log.
+        odometry: where its motion comes from, see `with_odometry`.
     """
 
     drive: str
     lap: str | None
     topics: str | None = None
+    odometry: str = "auto"
 
     def open(self, seed: int = 0) -> Drive:
         """The drive; `seed` is for sensors that it lacks and that are derived."""
+        return with_odometry(self.recorded(seed), self.odometry, self._follow)
+
+    def recorded(self, seed: int = 0) -> Drive:
+        """The drive with the odometry that it was recorded with."""
         drive = open_drive(Path(self.drive), seed=seed, topics=self.topics)
         return drive if self.lap is None else drive.lap(self.lap)
+
+    def _follow(self, _drive: Drive) -> CameraTrack:
+        return _camera_track(self.drive, self.lap, self.topics)
+
+
+@lru_cache(maxsize=4)
+def _camera_track(drive: str, lap: str | None, topics: str | None) -> CameraTrack:
+    """The camera's way, followed once in a process: it does not depend on the seed."""
+    recorded = Source(drive, lap, topics).recorded()
+    with progress(len(recorded.frame_stamps_s), "following the camera") as advance:
+        return track_camera(recorded, advance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,4 +264,4 @@ def run_missing(
 
 @lru_cache(maxsize=2)
 def _open(source: Source) -> Drive:
-    return source.open()
+    return source.recorded()  # detecting needs no motion

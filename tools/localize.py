@@ -22,6 +22,7 @@ from polemap.tools.monte_carlo import Replay, run_many, shared_runs
 from polemap.tools.option_types import (
     ConfigOption,
     ForceOption,
+    OdometryOption,
     SeedOption,
     SetOption,
     TopicsOption,
@@ -72,6 +73,7 @@ def command(
         float | None,
         typer.Option("--idle", min=0.1, help="With --follow: end if a file rests for SECONDS."),
     ] = None,
+    odometry: OdometryOption = "auto",
     force: ForceOption = False,
     seed: SeedOption = 0,
     config: ConfigOption = None,
@@ -98,7 +100,8 @@ def command(
     """
     if followed is not None:
         check_options({"a drive": drive is not None, "--lap": lap is not None, "--runs": runs > 1,
-                       "--cache": cache is not None, "--workers": workers is not None})  # fmt: skip
+                       "--cache": cache is not None, "--workers": workers is not None,
+                       "--odometry": odometry != "auto"})  # fmt: skip
         _check_map(map_file, without_poles)
         settings = load_settings(config, set_values)
         return follow(Asked(followed, map_file, car, topics, out, serve, idle_s, seed, settings))
@@ -112,7 +115,7 @@ def command(
     settings = load_settings(config, set_values)
     _check_map(map_file, without_poles)
     processes = workers or cpu_count() or 1
-    source = Source(str(drive), lap, None if topics is None else str(topics))
+    source = Source(str(drive), lap, None if topics is None else str(topics), odometry)
     opened = source.open()
     pole_map = read_map(map_file, frame=opened.frame) if map_file is not None else None
     require_plausible(opened.name, find(opened, pole_map), force=force)

@@ -23,6 +23,7 @@ from polemap.drivelog.jobs import LocalWorkers, Workers
 from polemap.map.io import check_writable, export_map, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
+from polemap.tools.drive_detection import Source
 from polemap.tools.findings import require_plausible
 from polemap.tools.map_picture import (
     check_picture,
@@ -30,10 +31,11 @@ from polemap.tools.map_picture import (
     route_localizability,
     write_localizability,
 )
-from polemap.tools.map_worker import observe_task, open_part, scan
+from polemap.tools.map_worker import observe_task, scan
 from polemap.tools.option_types import (
     ConfigOption,
     ForceOption,
+    OdometryOption,
     SeedOption,
     SetOption,
     TopicsOption,
@@ -95,6 +97,7 @@ def command(
         str | None, typer.Option("--scheduler", help="Dask scheduler, such as tcp://host:8786.")
     ] = None,
     topics: TopicsOption = None,
+    odometry: OdometryOption = "auto",
     force: ForceOption = False,
     seed: SeedOption = 0,
     config: ConfigOption = None,
@@ -133,7 +136,10 @@ def command(
     check_writable(out)
     check_picture(picture)
     with reserved(out):
-        opened = [open_part(path, lap, seed, topics) for path in drives]
+        serial = workers is None and scheduler is None
+        mapping = None if topics is None else str(topics.resolve())
+        parts = [Source(str(path), lap, mapping, odometry) for path in drives]
+        opened = [part.open(seed) if serial else part.recorded(seed) for part in parts]
         for drive in opened:
             require_plausible(drive.name, find(drive), force=force)
         # the map keeps its own zone: drives come to it
@@ -141,10 +147,10 @@ def command(
         for note in old.notes if old is not None else ():
             typer.echo(f"note: {update}: {note}")
         place = _Place(out.parent / f".{out.name}.checkpoints", workers, scheduler)
-        if workers is None and scheduler is None:
+        if serial:
             built = _build(opened, settings, old, align)
         else:
-            tasks = _tasks(drives, opened, lap, seed, settings, old, topics)
+            tasks = _tasks(drives, opened, lap, seed, settings, old, mapping, odometry)
             built = _build_in_processes(opened, tasks, settings, old, align, place)
         if not len(built.pole_map):
             raise InputError(
@@ -219,14 +225,14 @@ def _tasks(
     seed: int,
     settings: Settings,
     old: PoleMap | None,
-    topics: Path | None,
+    mapping: str | None,
+    odometry: str,
 ) -> list[DriveTask]:
     """A task a drive, for workers that open it by themselves."""
     frame = old.frame if old is not None else drives[0].frame
     text = settings.model_dump_json()
-    mapping = None if topics is None else str(topics.resolve())
     return [
-        DriveTask(str(path.resolve()), name, lap, seed, frame, text, mapping)
+        DriveTask(str(path.resolve()), name, lap, seed, frame, text, mapping, odometry)
         for path, name in zip(paths, unique_names(drives), strict=True)
     ]
 

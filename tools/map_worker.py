@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from polemap.build.build_map import observe
 from polemap.build.city.work import DriveTask
 from polemap.build.drive_observations import DriveObservations
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.perception import scan_drive
 from polemap.settings import Settings
+from polemap.tools.drive_detection import Source
 from polemap.tools.progress import Advance
-
-
-def open_part(path: Path, lap: str | None, seed: int, topics: Path | None = None) -> Drive:
-    """A drive, or the lap of it."""
-    drive = open_drive(path, seed=seed, topics=topics)
-    return drive.lap(lap) if lap is not None else drive
 
 
 def scan(drive: Drive, settings: Settings, advance: Advance) -> list[Detections]:
@@ -38,7 +31,6 @@ def scan(drive: Drive, settings: Settings, advance: Advance) -> list[Detections]
 def observe_task(task: DriveTask) -> DriveObservations:
     """Detect the poles of one drive and give what it contributes to the map."""
     settings = Settings.model_validate_json(task.settings)
-    topics = Path(task.topics) if task.topics else None
-    drive = open_part(Path(task.path), task.lap, task.seed, topics)
+    drive = Source(task.path, task.lap, task.topics, task.odometry).open(task.seed)
     scans = scan(drive, settings, lambda _steps: None)
     return observe(drive, task.name, scans, settings.polemap.mapping, task.frame)

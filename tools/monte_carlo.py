@@ -86,6 +86,7 @@ class Replay:
             **({"topics": self.source.topics} if self.source.topics else {}),
             "map": None if self.map_file is None else str(self.map_file),
             "lap": self.source.lap,
+            "odometry": self.source.odometry,
             "frame": self.frame.to_dict(),
             "seed": seed,
             "settings": self.settings.model_dump(mode="json"),

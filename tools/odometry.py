@@ -15,7 +15,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.tum import spatial_tum_text
 from polemap.settings import load_settings
 from polemap.tools.findings import require_plausible
-from polemap.tools.option_types import ConfigOption, ForceOption, SetOption
+from polemap.tools.option_types import ConfigOption, ForceOption, SetOption, TopicsOption
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 
@@ -29,6 +29,7 @@ def command(
         Path | None, typer.Option("--csv", help="Speed and yaw rate, as odometry.csv of a drive.")
     ] = None,
     lap: Annotated[str | None, typer.Option("--lap", help="Keep to this row of laps.csv.")] = None,
+    topics: TopicsOption = None,
     force: ForceOption = False,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -44,15 +45,15 @@ def command(
     speed with standard deviations, for steps that are known; it can stand in a drive folder as
     odometry.csv.
     """
-    check_files([out, table], (drive, config))
-    settings = load_settings(config, set_values)
-    opened = open_drive(drive)
+    check_files([out, table], (drive, config, topics))
+    load_settings(config, set_values)
+    opened = open_drive(drive, topics=topics)
     opened = opened.lap(lap) if lap is not None else opened
     if not opened.has_frames:
         raise InputError(f"drive {opened.name}: camera odometry needs stereo pictures, it has none")
     require_plausible(opened.name, find(opened), force=force)
     with progress(len(opened.frame_stamps_s), "following the camera") as advance:
-        track = track_camera(opened, advance, bits=settings.stereo.uint16_bits)
+        track = track_camera(opened, advance)
     if not len(track.planar):
         raise InputError(
             f"drive {opened.name}: no step of {len(track.stamp_s)} pairs is known "

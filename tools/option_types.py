@@ -17,6 +17,13 @@ SetOption = Annotated[
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="Makes the run repeatable bit for bit.")
 ]
+OdometryOption = Annotated[
+    str,
+    typer.Option(
+        "--odometry",
+        help="auto, wheels, camera, both; derived for KITTI odometry. auto: wheels, else camera.",
+    ),
+]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Go on with inputs that cannot be right.")
 ]

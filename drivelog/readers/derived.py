@@ -25,9 +25,12 @@ YAW_RATE_BIAS_RADPS = 0.001
 GNSS_SD_M = 2.5
 GNSS_TIME_S = 60.0
 
-NOTES = (
+ODOMETRY_NOTE = (
     "wheel odometry is derived from the poses with seeded noise (50 Hz; speed 1 % scale and "
-    "0.05 m/s, yaw rate 0.002 rad/s and a bias of 0.001 rad/s): it was not measured",
+    "0.05 m/s, yaw rate 0.002 rad/s and a bias of 0.001 rad/s): it was not measured"
+)
+NOTES = (
+    ODOMETRY_NOTE,
     "GNSS is derived from the poses with seeded noise (5 Hz; 2.5 m Gauss-Markov over 60 s): it "
     "was not measured",
 )

@@ -110,6 +110,7 @@ def _with_sensors(drive: Drive, stamps: Floats, poses: Floats, seed: int) -> Dri
         odometry=derived.derived_odometry(stamps, poses, odometry_rng),
         gnss=derived.derived_gnss(stamps, poses, gnss_rng),
         notes=(*drive.notes, *derived.NOTES),
+        odometry_is_derived=True,
     )
 
 

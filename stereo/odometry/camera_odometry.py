@@ -17,18 +17,21 @@ from polemap.stereo.odometry.corners import (
     Bools,
     Floats,
     Grey,
+    bits_of,
     eight_bit,
     find_corners,
     follow,
     same_exposure,
 )
 from polemap.stereo.odometry.motion import (
+    AGREEMENT,
     MotionFit,
     fit_motion,
     move,
     project,
     project_jacobian,
     triangulate,
+    vehicle_step,
 )
 from polemap.stereo.rig import StereoRig
 
@@ -41,9 +44,9 @@ _FORGET = 1.1
 _INLIERS_MIN = 12
 _INLIER_SHARE_MIN = 0.35
 # what no car does between two pictures
-_ACCELERATION_MAX_MPS2 = 15.0
+_ACCELERATION_MAX_MPS2 = 10.0
 _TURN_ACCELERATION_MAX_RADPS2 = 8.0
-_STILL_CHANGE_M, _STILL_CHANGE_RAD = 0.1, 0.02
+_STILL_CHANGE_M, _STILL_CHANGE_RAD = 0.06, 0.02
 # rows of a rectified pair agree to this, about their common offset
 _ROW_TOLERANCE_PX = 1.0
 _DISPARITY_MIN_PX = 0.5
@@ -87,14 +90,13 @@ class CameraOdometry:
 
     Args:
         rig: the camera.
-        bits: of pictures with 16-bit pixels; 8-bit ones ignore it.
 
     Attributes:
         disparity_offset_px: learned constant error of the disparities, subtracted from them.
     """
 
-    def __init__(self, rig: StereoRig, *, bits: int = 16) -> None:
-        self._rig, self._bits = rig, bits
+    def __init__(self, rig: StereoRig) -> None:
+        self._rig, self._bits = rig, 8
         self._noise = CORNER_SD_PX**2 * np.eye(3)
         self._before: Grey | None = None
         self._stamp_s = 0.0
@@ -122,13 +124,23 @@ class CameraOdometry:
         """
         views = self._checked(stamp_s, left, right)
         step_s = stamp_s - self._stamp_s
-        rows, places, guess = self._track(views[0], step_s)
-        corners = np.concatenate([places, find_corners(views[0], places)])
-        seen, good = self._match_right(views, corners, guess)
-        old = len(places)
-        motion = self._measure(rows[good[:old]], seen[:old][good[:old]], step_s)
-        points, spreads = triangulate(self._rig, seen[old:][good[old:]], self._noise)
-        self._seen = np.concatenate([self._seen, seen[old:][good[old:]]])
+        fit, best = None, -1.0
+        for levels in (_LEVELS, _LEVELS_UNSURE) if self._sure else (_LEVELS_UNSURE,):
+            rows, places, guess = self._track(views[0], step_s, levels)
+            corners = np.concatenate([places, find_corners(views[0], places)])
+            seen, good = self._match_right(views, corners, guess)
+            old = len(places)
+            tracked = rows[good[:old]], seen[:old][good[:old]]
+            agreed = self._fit(*tracked, step_s)
+            share = -1.0 if agreed is None else float(agreed.inliers.mean())
+            if share > best or fit is None:
+                fit, best, chosen = agreed, share, (tracked, seen[old:][good[old:]])
+            if best >= AGREEMENT:
+                break
+        (rows, sights), fresh = chosen
+        motion = self._measure(rows, sights, fit, step_s)
+        points, spreads = triangulate(self._rig, fresh, self._noise)
+        self._seen = np.concatenate([self._seen, fresh])
         self._points = np.concatenate([self._points, points])
         self._spreads = np.concatenate([self._spreads, spreads])
         self._before, self._stamp_s, self._step_s = views[0], stamp_s, step_s
@@ -144,12 +156,15 @@ class CameraOdometry:
                 )
         if self._before is not None and not stamp_s > self._stamp_s:
             raise StereoError(f"stamp {stamp_s:.6f} s does not follow {self._stamp_s:.6f} s")
+        self._bits = max(self._bits, bits_of(left), bits_of(right))
         view = eight_bit(left, self._bits)
         if self._before is not None:
-            view = same_exposure(view, self._before)
+            self._before = same_exposure(self._before, view)
         return view, same_exposure(eight_bit(right, self._bits), view)
 
-    def _track(self, view: Grey, step_s: float) -> tuple[NDArray[np.int64], Floats, Floats]:
+    def _track(
+        self, view: Grey, step_s: float, levels: int
+    ) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Rows of the points that were found again, their places, and their disparity guessed."""
         if self._before is None or not len(self._points):
             return np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty(0)
@@ -157,7 +172,6 @@ class CameraOdometry:
         front = expected[:, 2] > _NEAREST_M
         expected[~front] = (0.0, 0.0, 10.0)
         guess = project(self._rig, expected)
-        levels = _LEVELS if self._sure else _LEVELS_UNSURE
         places, found = follow(self._before, view, self._seen[:, :2], guess[:, :2], levels)
         rows = np.flatnonzero(found & front)
         return rows, places[rows], (guess[:, 0] - guess[:, 2])[rows]
@@ -193,17 +207,25 @@ class CameraOdometry:
             self._row_offset_px += 0.1 * float(np.median(rows_px[good]) - self._row_offset_px)
         return np.column_stack([corners, found[:, 0] + self.disparity_offset_px]), good
 
-    def _measure(self, rows: NDArray[np.int64], seen: Floats, step_s: float) -> CameraMotion:
+    def _fit(self, rows: NDArray[np.int64], seen: Floats, step_s: float) -> MotionFit | None:
+        """The motion of the points `rows` that are `seen` now, None for too few."""
+        if len(rows) < _INLIERS_MIN:
+            return None
+        points, spreads = self._points[rows], self._spreads[rows]
+        return fit_motion(self._rig, points, spreads, seen, self._noise, self._predicted(step_s))
+
+    def _measure(
+        self, rows: NDArray[np.int64], seen: Floats, fit: MotionFit | None, step_s: float
+    ) -> CameraMotion:
         """The motion, and the points moved by it and sharpened; without one they are forgotten."""
         if self._before is None:
             return self._unknown(0, 0, "first pair", "this is the first pair")
-        if len(rows) < _INLIERS_MIN:
+        if fit is None:
             self._lose()
             return self._unknown(
                 len(rows), 0, "too few corners", f"{len(rows)} corners were found again"
             )
         points, spreads = self._points[rows], self._spreads[rows]
-        fit = fit_motion(self._rig, points, spreads, seen, self._noise, self._predicted(step_s))
         inliers = int(fit.inliers.sum())
         doubt = self._doubt(fit, step_s)
         if doubt is not None:
@@ -225,14 +247,14 @@ class CameraOdometry:
             return "undetermined", "the corners do not determine a motion"
         if not self._sure or step_s > 1.0:
             return None
-        before = self._last[:3, 3] * (step_s / self._step_s)
-        change = float(np.linalg.norm(fit.current_from_previous[:3, 3] - before))
+        # of the rear axle: a car that pitches swings its camera
+        now, before = (vehicle_step(self._rig, t) for t in (fit.current_from_previous, self._last))
+        change = float(np.linalg.norm((now - before * (step_s / self._step_s))[:2, 3]))
         if change > _STILL_CHANGE_M + _ACCELERATION_MAX_MPS2 * step_s**2:
             return "no car's motion", f"the step changes by {change:.2f} m from pair to pair"
-        turn = fit.current_from_previous[:3, :3] @ self._last[:3, :3].T
-        angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
-        if angle > _STILL_CHANGE_RAD + _TURN_ACCELERATION_MAX_RADPS2 * step_s**2:
-            return "no car's motion", f"the turn changes by {angle:.3f} rad from pair to pair"
+        turn = float(np.arctan2(now[1, 0], now[0, 0]) - np.arctan2(before[1, 0], before[0, 0]))
+        if abs(turn) > _STILL_CHANGE_RAD + _TURN_ACCELERATION_MAX_RADPS2 * step_s**2:
+            return "no car's motion", f"the turn changes by {turn:.3f} rad from pair to pair"
         return None
 
     def _sharpen(self, fit: MotionFit, points: Floats, spreads: Floats, seen: Floats) -> None:

@@ -23,7 +23,7 @@ _WINDOW_PX = 11
 _LK_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 _LK_EIGENVALUE_MIN = 1e-3
 # exposure that changes by less is left to the tracker
-_GAIN_FREE = 0.04
+_EXPOSURE_FREE = 0.03
 
 
 def find_corners(picture: Grey, taken_px: Floats) -> Floats:
@@ -108,17 +108,23 @@ def eight_bit(picture: NDArray[np.uint8] | NDArray[np.uint16], bits: int) -> Gre
     return cast(Grey, cv2.convertScaleAbs(picture, alpha=255.0 / (2**bits - 1)))
 
 
-def same_exposure(picture: Grey, like: Grey) -> Grey:
-    """The picture with the mean and the contrast of another one, where they differ by much.
+def bits_of(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> int:
+    """Bits that a camera uses whose picture this is: 8, 10, 12, 14 or 16."""
+    used = int(picture.max()).bit_length()
+    return min(16, max(8, used + used % 2))
 
-    The tracker takes brightness for constant; an exposure that jumps would stop it.
+
+def same_exposure(picture: Grey, like: Grey) -> Grey:
+    """The picture with the grey values of another one, where they differ by much.
+
+    The tracker takes brightness for constant; an exposure that jumps would stop it. Neighbouring
+    pictures show nearly the same, so each grey value goes to the one that as many pixels of the
+    other picture lie below; that holds where the sky is burnt out, too.
     """
-    mean, spread = (float(v[0][0]) for v in cv2.meanStdDev(picture[::4, ::4]))
-    mean_like, spread_like = (float(v[0][0]) for v in cv2.meanStdDev(like[::4, ::4]))
-    if spread < 1.0 or spread_like < 1.0:
+    shares = (np.arange(256) + 0.5) / 256
+    now, then = (np.quantile(view[::4, ::4], shares) for view in (picture, like))
+    if float(np.abs(now - then).mean()) < 255.0 * _EXPOSURE_FREE:
         return picture
-    gain = min(max(spread_like / spread, 0.25), 4.0)
-    if abs(gain - 1.0) < _GAIN_FREE and abs(mean - mean_like) < 255.0 * _GAIN_FREE:
-        return picture
-    table = np.clip(gain * (np.arange(256.0) - mean) + mean_like, 0.0, 255.0)
+    # values that no pixel has lie between those that some have
+    table = np.interp(np.arange(256.0), now + 1e-6 * np.arange(256), then)
     return cast(Grey, cv2.LUT(picture, np.rint(table).astype(np.uint8)))

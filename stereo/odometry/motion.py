@@ -28,6 +28,8 @@ Bools = NDArray[np.bool_]
 
 # chi-square of three degrees of freedom that one point in a thousand exceeds
 GATE = 16.27
+# fewer than these of the points agreeing leaves room for another motion
+AGREEMENT = 0.8
 _NEAREST_M = 0.5
 # corners beside each other err alike (texture, slanted ground), and points keep their errors from
 # frame to frame: four times the variance that independent corners would leave, as measured
@@ -89,6 +91,17 @@ def move(transform: Floats, points_m: Floats) -> Floats:
     return np.asarray(points_m @ transform[:3, :3].T + transform[:3, 3])
 
 
+def vehicle_step(rig: StereoRig, current_from_previous: Floats) -> Floats:
+    """`(4, 4)` pose of the vehicle frame in the one before, from the motion of camera points."""
+    mount = rig.vehicle_from_camera
+    from_camera = np.eye(4)
+    from_camera[:3, :3] = mount.rotation()
+    from_camera[:3, 3] = mount.x_m, mount.y_m, mount.z_m
+    return np.asarray(
+        from_camera @ np.linalg.inv(current_from_previous) @ np.linalg.inv(from_camera)
+    )
+
+
 def fit_motion(
     rig: StereoRig,
     points_m: Floats,
@@ -99,17 +112,17 @@ def fit_motion(
 ) -> MotionFit:
     """The motion of points `(n, 3)` with covariances `(n, 3, 3)`, seen now as `(n, 3)`; n >= 4.
 
-    Where fewer than half of the points agree from the guess, a minimal-sample search over triples
-    begins anew, and what explains more points stands.
+    Where many points do not agree, the guess is tried with what fits it closely, and the best of a
+    minimal-sample search over triples; what explains most points stands.
     """
-    fit = _refine(rig, points_m, covariances_m2, seen_px, noise_px2, guess)
-    if fit.inliers.mean() >= 0.5:
-        return fit
-    other = _by_triples(rig, points_m, seen_px)
-    if other is None:
-        return fit
-    again = _refine(rig, points_m, covariances_m2, seen_px, noise_px2, other, wide=False)
-    return again if again.inliers.sum() > fit.inliers.sum() else fit
+    best = _refine(rig, points_m, covariances_m2, seen_px, noise_px2, guess)
+    if best.inliers.mean() >= AGREEMENT:
+        return best
+    for start in (guess, _by_triples(rig, points_m, seen_px)):
+        if start is not None:
+            fit = _refine(rig, points_m, covariances_m2, seen_px, noise_px2, start, wide=False)
+            best = max(best, fit, key=lambda one: int(one.inliers.sum()))
+    return best
 
 
 def _by_triples(rig: StereoRig, points_m: Floats, seen_px: Floats) -> Floats | None:

@@ -164,7 +164,8 @@ def _input(recording: Recording) -> tuple[Source, Drive, Path]:
         raise InputError("it was localized without a map")
     if not main.map.is_file():
         raise InputError(f"its map {main.map} is gone")
-    source = Source(str(main.drive), main.lap, None if main.topics is None else str(main.topics))
+    topics = None if main.topics is None else str(main.topics)
+    source = Source(str(main.drive), main.lap, topics, str(main.config.get("odometry", "auto")))
     return source, source.open(), main.map
 
 

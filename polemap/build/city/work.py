@@ -33,6 +33,7 @@ class DriveTask:
         lap: row of laps.csv, or None.
         settings: everything that the result depends on, as JSON.
         topics: mapping of the topics of a log.
+        odometry: where the motion comes from.
     """
 
     path: str
@@ -42,6 +43,7 @@ class DriveTask:
     frame: EarthFrame
     settings: str
     topics: str | None = None
+    odometry: str = "auto"
 
     def key(self) -> str:
         """Names the computation: another drive, setting or version gives another key."""
