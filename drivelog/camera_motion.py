@@ -16,6 +16,7 @@ from polemap.drivelog.streams import OdometryStream
 from polemap.stereo.odometry.camera_odometry import CameraMotion, CameraOdometry
 from polemap.stereo.odometry.motion import vehicle_step
 from polemap.stereo.rig import StereoRig
+from polemap.vehicle.pose import rotate_back
 
 Floats = NDArray[np.float64]
 
@@ -115,8 +116,7 @@ def planar_step(rig: StereoRig, motion: CameraMotion, step_s: float) -> tuple[fl
     step = vehicle_step(rig, motion.current_from_previous)
     yaw, moved = float(np.arctan2(step[1, 0], step[0, 0])), step[:2, 3]
     half = 0.5 * yaw
-    along = moved[0] * np.cos(half) + moved[1] * np.sin(half)
-    across = -moved[0] * np.sin(half) + moved[1] * np.cos(half)
+    along, across = rotate_back(moved, half)
     arc = 1.0 / np.sinc(half / np.pi)
     # axes of the vehicle in those of the camera; the lever arm of the yaw acts across, not along
     mount = rig.vehicle_from_camera
