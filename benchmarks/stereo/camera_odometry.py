@@ -23,6 +23,7 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.stereo.odometry.camera_odometry import CameraOdometry
 from polemap.stereo.odometry.motion import vehicle_step
 from polemap.stereo.rig import StereoRig
+from polemap.vehicle.pose import relative, wrap_angle
 
 Floats = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -81,16 +82,11 @@ def drift(estimated: Floats, reference: Floats, length_m: float) -> tuple[float,
         if last == len(way):
             break
         length = way[last] - way[first]
-        error = _between(estimated, first, last) - _between(reference, first, last)
+        moved, true = (relative(p[first], p[last]) for p in (estimated, reference))
+        error = moved - true
         shifts.append(100.0 * np.hypot(*error[:2]) / length)
-        turns.append(np.degrees(abs(error[2])) / length)
+        turns.append(np.degrees(abs(wrap_angle(error[2]))) / length)
     return float(np.mean(shifts)), float(np.mean(turns))
-
-
-def _between(poses: Floats, first: int, last: int) -> Floats:
-    c, s = np.cos(poses[first, 2]), np.sin(poses[first, 2])
-    x, y, yaw = poses[last] - poses[first]
-    return np.array([c * x + s * y, c * y - s * x, (yaw + np.pi) % (2 * np.pi) - np.pi])
 
 
 def follow(drive: Drive, advance: Advance) -> tuple[Floats, float]:
