@@ -16,6 +16,13 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import PolemapError
 from polemap.drivelog.findings import Finding
+from polemap.drivelog.plausibility.camera_check import (
+    SeenMotion,
+    camera_findings,
+    match_next,
+    moving_rows,
+    see_motion,
+)
 from polemap.drivelog.plausibility.features import follow, to_8_bit
 from polemap.drivelog.plausibility.picture_motion import stamp_findings
 from polemap.drivelog.samples import Image
@@ -61,8 +68,11 @@ def check_pictures(drive: Drive) -> list[Finding]:
     if not drive.has_frames or drive.images is None:
         return []
     count = len(drive.frame_stamps_s)
-    # neither the first nor the last: a recorder's ends are the least like the rest
-    rows = np.unique(np.linspace(0, count - 1, _FRAMES + 2).astype(int)[1:-1])
+    # where the car moves, so that the next pair shows how; neither the first nor the last: a
+    # recorder's ends are the least like the rest
+    moving = moving_rows(drive)
+    choice = moving if len(moving) >= _FRAMES else np.arange(count)
+    rows = choice[np.unique(np.linspace(0, len(choice) - 1, _FRAMES + 2).astype(int)[1:-1])]
     try:
         pairs = [drive.images.load(int(row)) for row in rows]
     except PolemapError as error:
@@ -88,8 +98,33 @@ def check_pictures(drive: Drive) -> list[Finding]:
             )
         )  # fmt: skip
         return found
-    found += _order(seen) or _rows(drive, rows, matches) or stamp_findings(drive)
-    return found
+    wrong = _order(seen) or _rows(drive, rows, matches)
+    if not wrong and choice is moving:
+        wrong = camera_findings(drive, _motions(drive, rows, pairs, matches))
+    return found + wrong + ([] if _of_pairs(wrong) else stamp_findings(drive))
+
+
+def _of_pairs(found: list[Finding]) -> bool:
+    return any(finding.stream == "frames.csv" for finding in found)
+
+
+def _motions(
+    drive: Drive, rows: NDArray[np.int_], pairs: list[tuple[Image, Image]], matches: list[PairMatch]
+) -> list[SeenMotion]:
+    """How the camera moves from each of the rows to the next."""
+    seen = []
+    for row, (left, _), match in zip(rows, pairs, matches, strict=True):
+        if drive.images is None or len(match.places_px) < _LEAST_FEATURES:
+            continue
+        try:
+            later = [to_8_bit(side) for side in drive.images.load(int(row) + 1)]
+        except PolemapError:
+            continue
+        next_px = match_next(to_8_bit(left), match.places_px, match.steps_px, *later)
+        one = see_motion(drive, int(row), next_px)
+        if one is not None:
+            seen.append(one)
+    return seen
 
 
 def match_pair(left: Image, right: Image, features: int = _FEATURES) -> PairMatch:

@@ -15,6 +15,7 @@ from polemap.drivelog.drive import Drive, OdometryStream
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.plausibility.pictures import check_pictures
+from polemap.drivelog.streams import ReferenceStream
 from polemap.stereo.rig import Mounting, StereoRig
 
 RIG = StereoRig(480, 240, 400.0, 239.5, 119.5, 0.4, Mounting(1.5, 0.2, 1.4))
@@ -26,7 +27,10 @@ FLOW_M = 0.9
 def _scene(seed: int = 3) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
     n = 900
-    return np.column_stack([rng.uniform(-30, 30, n), rng.uniform(-8, 4, n), rng.uniform(5, 80, n)])
+    # x to the right, y down, z ahead of the first camera, which is 1.4 m above the road
+    return np.column_stack(
+        [rng.uniform(-30, 30, n), rng.uniform(-8, 1.4, n), rng.uniform(5, 80, n)]
+    )
 
 
 def _turns() -> NDArray[np.float64]:
@@ -34,11 +38,22 @@ def _turns() -> NDArray[np.float64]:
     return 0.25 * np.sin(2 * np.pi * t / 2.2)
 
 
+def _camera(frame: int) -> tuple[float, float, float]:
+    """Right of and ahead of the first camera, and its yaw, after `frame` steps of the rear axle."""
+    yaw = np.concatenate([[0.0], np.cumsum(_turns() * PERIOD_S)])[: frame + 1]
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    mount = RIG.vehicle_from_camera
+    c, s = np.cos(yaw[-1]), np.sin(yaw[-1])
+    ahead = FLOW_M * np.cos(middle).sum() + c * mount.x_m - s * mount.y_m - mount.x_m
+    left = FLOW_M * np.sin(middle).sum() + s * mount.x_m + c * mount.y_m - mount.y_m
+    return -left, ahead, float(yaw[-1])
+
+
 def _view(frame: int, right: bool) -> NDArray[np.uint8]:
-    """What a camera sees after `frame` steps ahead, turned by the summed turn rates."""
+    """What a camera sees after `frame` steps."""
     points = _scene()
-    yaw = float(np.sum(_turns()[:frame]) * PERIOD_S)
-    ahead = points - [0.0, 0.0, FLOW_M * frame]
+    to_the_right, forward, yaw = _camera(frame)
+    ahead = points - [to_the_right, 0.0, forward]
     c, s = np.cos(yaw), np.sin(yaw)
     # the car turns to the left by yaw: the scene turns to the right
     x = c * ahead[:, 0] + s * ahead[:, 2] - (RIG.baseline_m if right else 0.0)
@@ -93,7 +108,7 @@ def clean() -> Drive:
         frame_arrivals_s=stamps,
         frame_numbers=np.arange(FRAMES),
         images=Pictures(pairs),
-        odometry=OdometryStream(t, t, np.full(len(t), 4.0), rate),
+        odometry=OdometryStream(t, t, np.full(len(t), FLOW_M / PERIOD_S), rate),
     )
 
 
@@ -103,6 +118,14 @@ def _pairs(change: Callable[[Pair, Drive, int], Pair]) -> Callable[[Drive], Driv
         return replace(drive, images=Pictures(tuple(pairs)))
 
     return made
+
+
+def _rig(**changes: object) -> Callable[[Drive], Drive]:
+    return lambda drive: replace(drive, rig=replace(RIG, **changes))
+
+
+def _turned(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(image[::-1, ::-1])
 
 
 def _tilted(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -132,12 +155,38 @@ MISTAKES: dict[str, tuple[Callable[[Drive], Drive], str, str]] = {
                     "warning"),
     "stamps early": (lambda d: replace(d, frame_stamps_s=d.frame_stamps_s - 0.3), "clock_offset",
                      "warning"),
+    "focal length halved": (_rig(focal_px=200.0), "camera_scale", "error"),
+    "focal length of a larger picture": (_rig(focal_px=480.0), "camera_scale", "warning"),
+    "baseline doubled": (_rig(baseline_m=0.8), "camera_scale", "error"),
+    "cy off": (_rig(cy_px=149.5), "camera_pitch", "warning"),
+    "cx off": (_rig(cx_px=200.0), "camera_yaw", "warning"),
+    "camera turned": (_rig(vehicle_from_camera=Mounting(1.5, 0.2, 1.4, yaw_rad=0.3)),
+                      "camera_yaw", "error"),
+    "camera nods": (_rig(vehicle_from_camera=Mounting(1.5, 0.2, 1.4, pitch_rad=-0.1)),
+                    "camera_pitch", "warning"),
+    "upside down": (_pairs(lambda p, d, k: (_turned(p[1]), _turned(p[0]))), "camera_upside_down",
+                    "error"),
     "unreadable": (lambda d: replace(d, images=Broken()), "picture", "error"),
 }  # fmt: skip
 
 
 def test_true_pairs_are_left_alone(clean: Drive) -> None:
     assert [finding.line() for finding in check_pictures(clean)] == []
+
+
+def test_the_way_of_the_pictures_is_measured_against_the_odometry_alone_where_it_is_believed(
+    clean: Drive,
+) -> None:
+    t, n = clean.odometry.stamp_s, len(clean.odometry)
+    fast = replace(clean, odometry=replace(clean.odometry, speed_mps=np.full(n, 32.4)))
+    assert "camera_scale" in [f.kind for f in check_pictures(fast)]
+    poses = np.column_stack([9.0 * t, np.zeros(n), np.zeros(n)])
+    doubted = replace(fast, reference=ReferenceStream(t, poses, np.full(n, 0.02)))
+    assert "camera_scale" not in [f.kind for f in check_pictures(doubted)]
+    # a standing car shows nothing, nor does a drive without odometry
+    still = replace(clean, odometry=replace(clean.odometry, speed_mps=np.zeros(n)))
+    for drive in (still, replace(clean, odometry=None)):
+        assert [f for f in check_pictures(drive) if f.stream == "camera"] == []
 
 
 def test_a_drive_without_pictures_has_none_to_blame(clean: Drive) -> None:
