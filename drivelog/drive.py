@@ -20,7 +20,12 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import Image, Sample, StereoFrame
-from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.drivelog.streams import (
+    GnssStream,
+    OdometryCorrection,
+    OdometryStream,
+    ReferenceStream,
+)
 from polemap.errors import PolemapError
 from polemap.parsing.errors import named
 from polemap.plugins import READERS, load_plugins, short
@@ -85,6 +90,7 @@ class Drive:
         frame_stamps_s, frame_arrivals_s: `(n,)` of the stereo pairs, sorted by stamp.
         frame_numbers: `(n,)` number of each pair in the recording (gaps are real).
         odometry, gnss, reference: None where the drive lacks the sensor.
+        odometry_correction: what the odometry has been corrected by already.
         scans: poles that were detected elsewhere, sorted by stamp.
         laps: named parts.
         notes: what a reader of a result must know about the input (derived sensors, say).
@@ -104,6 +110,7 @@ class Drive:
     frame_numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     images: FrameSource | None = None
     odometry: OdometryStream | None = None
+    odometry_correction: OdometryCorrection = field(default_factory=OdometryCorrection)
     gnss: GnssStream | None = None
     reference: ReferenceStream | None = None
     scans: tuple[Detections, ...] = ()

@@ -17,6 +17,25 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
+class OdometryCorrection:
+    """What an odometry was corrected by: true metres are what it says over `speed_scale`, and its
+    stamps were `delay_s` late."""
+
+    speed_scale: float = 1.0
+    delay_s: float = 0.0
+
+    def apply(self, stream: OdometryStream) -> OdometryStream:
+        """The stream as it should have been; nothing arrives before it is measured."""
+        stamps = stream.stamp_s - self.delay_s
+        return OdometryStream(
+            stamps,
+            np.maximum(stream.arrival_s, stamps),
+            stream.speed_mps / self.speed_scale,
+            stream.yaw_rate_radps,
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class OdometryStream(Columns):
     """Wheel odometry; every array `(n,)`, sorted by `stamp_s`."""
 

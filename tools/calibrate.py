@@ -10,12 +10,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from polemap.calibration.check import Calibration, calibrate
+from polemap.calibration.check import calibrate
+from polemap.calibration.result import Calibration
 from polemap.calibration.rows import RowAgreement
 from polemap.drivelog.atomic import atomic_file, atomic_folder, check_folder
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import OutputError
-from polemap.parsing.json_text import plain_values
 from polemap.settings import load_settings
 from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
 from polemap.tools.progress import progress
@@ -97,6 +97,10 @@ def describe(drive: Drive, found: Calibration, out: Path | None = None) -> list[
             f"           odometry against {error.against}: speed scale {error.speed_scale:.4f} +- "
             f"{error.speed_scale_sd:.4f}{delay}"
         )
+    if (scale := found.camera_scale()) is not None:
+        lines.append(
+            f"           ways by the camera are {scale[0]:.4f} +- {scale[1]:.4f} of the reference's"
+        )
     lines += [f"unknown    {text}" for text in found.missing]
     warnings = found.findings()
     lines += [f"warning    {finding.line()}" for finding in warnings]
@@ -160,8 +164,20 @@ def as_dict(drive: Drive, found: Calibration) -> dict[str, Any]:
         "rows": rows,
         "quantities": [{**asdict(q), "contradicts": q.contradicts} for q in found.quantities],
         "odometry": [asdict(error) for error in found.odometry],
+        "camera_scale": found.camera_scale(),
         "missing": list(found.missing),
         "findings": [finding.to_dict() for finding in found.findings()],
     }
-    cleaned: dict[str, Any] = plain_values(tree)
+    cleaned: dict[str, Any] = _finite(tree)
     return cleaned
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows no NaN."""
+    if isinstance(value, dict):
+        return {name: _finite(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.calibration.check import Calibration
 from polemap.calibration.ground import on_road
+from polemap.calibration.result import Calibration
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.plausibility.features import to_8_bit
 from polemap.drivelog.plausibility.odometer import of_reference

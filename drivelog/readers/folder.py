@@ -17,7 +17,6 @@ from polemap.drivelog.readers.columns import FILES, required_columns
 from polemap.drivelog.readers.drive_yaml import (
     LONGEST_NAME,
     DriveYaml,
-    OdometryPart,
     VehiclePart,
     read_drive_yaml,
 )
@@ -25,7 +24,12 @@ from polemap.drivelog.readers.folder_camera import FolderCamera, read_camera
 from polemap.drivelog.readers.given import is_given, row_findings, without_zero_fixes
 from polemap.drivelog.readers.poles import read_scans
 from polemap.drivelog.stamps import in_order, in_seconds
-from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.drivelog.streams import (
+    GnssStream,
+    OdometryCorrection,
+    OdometryStream,
+    ReferenceStream,
+)
 from polemap.drivelog.tables import Table, check_header, read_table
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import car_names, load_car
@@ -65,13 +69,16 @@ class FolderReader:
         findings: list[Finding] = []
         notes = list(head.notes)
         notes += [f"drive.yaml: unknown key '{key}' is ignored" for key in head.unknown_keys()]
+        correction = None
+        if head.odometry is not None:
+            correction = OdometryCorrection(head.odometry.speed_scale, head.odometry.delay_s)
         car = gathered.attempt(_car, folder, head.vehicle)
         camera = gathered.attempt(_camera, folder, head)
         frames = None
         if camera is not None or head.camera is None:
             frames = gathered.attempt(_frames, folder, head, camera, problems, findings, notes)
         scans = gathered.attempt(read_scans, folder, head.pole_detector, problems, findings)
-        odometry = gathered.attempt(_odometry, folder, head.odometry, problems, findings, notes)
+        odometry = gathered.attempt(_odometry, folder, correction, problems, findings, notes)
         gnss = gathered.attempt(_gnss, folder, frame, problems, findings)
         reference = gathered.attempt(_reference, folder, problems, findings)
         laps = gathered.attempt(_laps, folder, findings)
@@ -92,6 +99,7 @@ class FolderReader:
             frame_numbers=np.arange(len(frames[0]), dtype=np.int64),
             images=frames[2],
             odometry=odometry,
+            odometry_correction=correction or OdometryCorrection(),
             gnss=gnss,
             reference=reference,
             scans=scans[0],
@@ -219,7 +227,7 @@ def _inside(folder: Path, text: object, index: Path, outside: list[Path] | None)
 
 def _odometry(
     folder: Path,
-    correction: OdometryPart | None,
+    correction: OdometryCorrection | None,
     problems: Counter[str],
     findings: list[Finding],
     notes: list[str],
@@ -233,18 +241,11 @@ def _odometry(
     )
     if correction is None:
         return stream
-    scale, delay_s = correction.speed_scale, correction.delay_s
     notes.append(
-        f"odometry.csv is corrected by drive.yaml: speeds divided by {scale:g}, stamps {delay_s:g} "
-        "s earlier"
+        f"odometry.csv is corrected by drive.yaml: speeds divided by {correction.speed_scale:g}, "
+        f"stamps {correction.delay_s:g} s earlier"
     )
-    stamps = stream.stamp_s - delay_s
-    return OdometryStream(
-        stamps,
-        np.maximum(stream.arrival_s, stamps),
-        stream.speed_mps / scale,
-        stream.yaw_rate_radps,
-    )
+    return correction.apply(stream)
 
 
 def _gnss(

@@ -74,7 +74,8 @@ def observe(
     """
     if drive.reference is None or not len(drive.reference):
         raise InputError(
-            f"drive {drive.name}: it has no reference poses; a map is built from where the car was"
+            f"drive {drive.name}: it has no reference poses; a map is built from where the car "
+            "was: add reference.csv, or for a KITTI sequence the file of its poses"
         )
     # poles of a poles.csv were detected by something else
     rig = drive.rig if drive.has_frames else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
@@ -17,114 +16,21 @@ from polemap.calibration.odometry import (
     of_camera,
     of_reference_poses,
 )
-from polemap.calibration.rows import RowAgreement, check_rows
+from polemap.calibration.result import MOUNT, Calibration, Quantity
+from polemap.calibration.rows import check_rows
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import of_odometry
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.rig import Mounting
 
 Floats = NDArray[np.float64]
 
-_MOUNT = "camera.vehicle_from_camera."
-# smaller differences change neither a map nor a pose
-_NEGLIGIBLE = {
-    f"{_MOUNT}z_m": 0.03,
-    f"{_MOUNT}roll_rad": 0.01,
-    f"{_MOUNT}pitch_rad": 0.005,
-    f"{_MOUNT}yaw_rad": 0.004,
-    "odometry.speed_scale": 0.005,
-    "odometry.delay_s": 0.015,
-}
-_SIGNIFICANT = 3.0
-_ROWS_PX, _ACROSS_PX = 0.5, 1.0
 _RUN = 30
 # a standing car adds nothing, and parked it sees no road
 _MOVING_MPS = 1.0
 # a road that bends leaves the corridor in which it is looked for
 _STRAIGHT_PER_M = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """One number of a calibration.
-
-    Attributes:
-        name: where it stands in drive.yaml.
-        stated: what the drive says.
-        found, sd: what its pictures and streams say.
-        source: how it was found.
-    """
-
-    name: str
-    stated: float
-    found: float
-    sd: float
-    source: str
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether the drive and its calibration disagree beyond chance and beyond notice."""
-        limit = max(_SIGNIFICANT * self.sd, _NEGLIGIBLE[self.name])
-        return bool(abs(self.found - self.stated) > limit)
-
-
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """What was found, and what it was found from.
-
-    Attributes:
-        rows: agreement of the pair's rows, None without pictures.
-        quantities: what could be estimated.
-        missing: what could not, and why.
-        odometry: against each witness; the first one is believed.
-        planes: road per frame looked at, with `plane_rows` of the drive.
-        steps: motion of the camera.
-    """
-
-    rows: RowAgreement | None
-    quantities: tuple[Quantity, ...]
-    missing: tuple[str, ...]
-    odometry: tuple[OdometryErrors, ...]
-    planes: tuple[GroundPlane | None, ...]
-    plane_rows: tuple[int, ...]
-    steps: CameraSteps | None
-
-    def mounting(self, stated: Mounting) -> Mounting:
-        """The stated mounting with what was found in its place."""
-        found = {q.name.removeprefix(_MOUNT): q.found for q in self.quantities
-                 if q.name.startswith(_MOUNT)}  # fmt: skip
-        return replace(stated, **found)
-
-    def findings(self) -> list[Finding]:
-        """Where the drive contradicts its calibration."""
-        found = _row_findings(self.rows) if self.rows else []
-        for quantity in self.quantities:
-            if quantity.contradicts:
-                found.append(
-                    Finding(
-                        "calibration", "warning", quantity.name,
-                        f"stated {quantity.stated:.4g}, found {quantity.found:.4g} +- "
-                        f"{quantity.sd:.2g} ({quantity.source})",
-                        f"the same within {_SIGNIFICANT:g} standard deviations",
-                        "measure it again, or take over what was found",
-                    )
-                )  # fmt: skip
-        return found
-
-
-def _row_findings(rows: RowAgreement) -> list[Finding]:
-    if abs(rows.median_px) <= _ROWS_PX and not rows.across_px > _ACROSS_PX:
-        return []
-    return [
-        Finding(
-            "rectification", "warning", "camera",
-            f"rows differ by {rows.median_px:.2f} px in the median and by {rows.across_px:.1f} px "
-            "between parts of the picture",
-            f"{_ROWS_PX:g} px and {_ACROSS_PX:g} px at most", "calibrate the pair again",
-        )
-    ]  # fmt: skip
 
 
 def calibrate(
@@ -240,10 +146,10 @@ def _from_ground(
         return []
     source = f"road plane in {ground.frames[0]} of {ground.frames[1]} frames"
     return [
-        Quantity(f"{_MOUNT}z_m", mount.z_m, ground.height_m, ground.height_sd_m, source),
-        Quantity(f"{_MOUNT}pitch_rad", mount.pitch_rad, ground.pitch_rad, ground.pitch_sd_rad,
+        Quantity(f"{MOUNT}z_m", mount.z_m, ground.height_m, ground.height_sd_m, source),
+        Quantity(f"{MOUNT}pitch_rad", mount.pitch_rad, ground.pitch_rad, ground.pitch_sd_rad,
                  source),
-        Quantity(f"{_MOUNT}roll_rad", mount.roll_rad, ground.roll_rad, ground.roll_sd_rad, source),
+        Quantity(f"{MOUNT}roll_rad", mount.roll_rad, ground.roll_rad, ground.roll_sd_rad, source),
     ]  # fmt: skip
 
 
@@ -258,7 +164,7 @@ def _from_motion(
         )
         return []
     return [
-        Quantity(f"{_MOUNT}yaw_rad", mount.yaw_rad, ahead.yaw_rad, ahead.yaw_sd_rad,
+        Quantity(f"{MOUNT}yaw_rad", mount.yaw_rad, ahead.yaw_rad, ahead.yaw_sd_rad,
                  f"direction of motion in {ahead.steps} straight steps")
     ]  # fmt: skip
 
@@ -280,11 +186,17 @@ def _odometry(
         return []
     best = known[0]
     source = f"against {best.against}, {best.spans} spans"
+    # against the stream as it was recorded, which is what drive.yaml corrects
+    applied = drive.odometry_correction
+    stated, sd = applied.speed_scale, best.speed_scale_sd * applied.speed_scale
     quantities.append(
-        Quantity("odometry.speed_scale", 1.0, best.speed_scale, best.speed_scale_sd, source)
+        Quantity("odometry.speed_scale", stated, best.speed_scale * stated, sd, source)
     )
     if isfinite(best.delay_s):
-        quantities.append(Quantity("odometry.delay_s", 0.0, best.delay_s, best.delay_sd_s, source))
+        delay = best.delay_s + applied.delay_s
+        quantities.append(
+            Quantity("odometry.delay_s", applied.delay_s, delay, best.delay_sd_s, source)
+        )
     else:
         missing.append("odometry delay: speed and turn rate hardly change")
     return known

@@ -1,32 +1,21 @@
-"""How the camera moves from frame to frame: features with disparity, followed, and a robust pose.
-
-Short and plain on purpose: it serves the mounting and the odometry of a drive, frame by frame, and
-keeps no map.
-"""
+"""How the camera of a drive moves, step by step, and which way it looks along that."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.calibration.estimate import Fit, blocks_of, fit
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.plausibility.features import follow, to_8_bit
+from polemap.stereo.odometry.camera_odometry import CameraOdometry
 from polemap.stereo.rig import Mounting
 
 Floats = NDArray[np.float64]
 
-_FEATURES = 500
-_LEAST = 30
-_ROW_PX = 2.0
-_NEAREST_PX, _FARTHEST_PX = 200.0, 1.5
-_REPROJECTION_PX = 1.0
 _STEP_MAX_S = 0.6
 # straight and rolling: in bends the rear axle slips
 _MOVED_MIN_M, _BEND_MAX = 0.1, 0.03
@@ -70,66 +59,33 @@ class CameraSteps:
 
 
 def camera_steps(drive: Drive, runs: Sequence[range]) -> CameraSteps:
-    """Steps between neighbouring frames of every run of rows; those that fail are left out.
+    """Known steps between neighbouring frames of every run of rows, by camera odometry.
 
     Raises:
         InputError: no camera, or a picture that cannot be read.
     """
     if drive.rig is None:
         raise InputError(f"drive {drive.name}: it has no camera to calibrate")
-    found: list[tuple[float, float, Floats, Floats]] = []
+    spans: list[tuple[float, float]] = []
+    steps: list[Floats] = []
     for run in runs:
-        before = None
+        odometry = CameraOdometry(drive.rig)
+        before_s = float("-inf")
         for row in run:
             frame = drive.read_frame(row)
-            left, right = to_8_bit(frame.left), to_8_bit(frame.right)
-            if before is not None and frame.stamp_s - before[0] < _STEP_MAX_S:
-                step = _step(drive, before[1], before[2], left)
-                if step is not None:
-                    found.append((before[0], frame.stamp_s, *step))
-            before = frame.stamp_s, left, right
+            motion = odometry.advance(frame.stamp_s, frame.left, frame.right)
+            if motion.known and frame.stamp_s - before_s < _STEP_MAX_S:
+                spans.append((before_s, frame.stamp_s))
+                steps.append(np.asarray(np.linalg.inv(motion.current_from_previous), np.float64))
+            before_s = frame.stamp_s
+    stamps = np.array(spans).reshape(-1, 2)
+    previous_from_current = np.array(steps).reshape(-1, 4, 4)
     return CameraSteps(
-        np.array([step[0] for step in found]),
-        np.array([step[1] for step in found]),
-        np.array([step[2] for step in found]).reshape(-1, 3),
-        np.array([step[3] for step in found]).reshape(-1, 3, 3),
+        stamps[:, 0],
+        stamps[:, 1],
+        previous_from_current[:, :3, 3],
+        previous_from_current[:, :3, :3],
     )
-
-
-def _step(drive: Drive, left: Any, right: Any, after: Any) -> tuple[Floats, Floats] | None:
-    rig = drive.rig
-    corners = cv2.goodFeaturesToTrack(left, _FEATURES, 0.003, 9)
-    if rig is None or corners is None:
-        return None
-    places, across = follow(left, right, np.asarray(corners, dtype=np.float32))
-    disparity = -across[:, 0]
-    good = (np.abs(across[:, 1]) < _ROW_PX) & (disparity > _FARTHEST_PX)
-    good &= disparity < _NEAREST_PX
-    places, disparity = places[good], disparity[good]
-    start = places.astype(np.float32).reshape(-1, 1, 2)
-    if len(start) < _LEAST:
-        return None
-    kept, steps = follow(left, after, start)
-    # `follow` keeps some of the places, in their order
-    index = {tuple(place): k for k, place in enumerate(start.reshape(-1, 2).astype(np.float64))}
-    rows = np.array([index[tuple(place)] for place in kept], dtype=np.int64)
-    if len(rows) < _LEAST:
-        return None
-    points = rig.camera_points(kept[:, 0], kept[:, 1], disparity[rows])
-    matrix = np.array([[rig.focal_px, 0, rig.cx_px], [0, rig.focal_px, rig.cy_px], [0, 0, 1.0]])
-    cv2.setRNGSeed(0)
-    done, turn, move, inliers = cv2.solvePnPRansac(
-        points, kept + steps, matrix, None, iterationsCount=200,
-        reprojectionError=_REPROJECTION_PX, confidence=0.999, flags=cv2.SOLVEPNP_EPNP,
-    )  # fmt: skip
-    if not done or inliers is None or len(inliers) < max(_LEAST, 0.3 * len(rows)):
-        return None
-    chosen = inliers.ravel()
-    turn, move = cv2.solvePnPRefineLM(
-        points[chosen], (kept + steps)[chosen], matrix, None, turn, move
-    )
-    rotation = np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64)
-    return -rotation.T @ np.asarray(move, dtype=np.float64).ravel(), rotation.T
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ from polemap.stereo.rig import Mounting
 
 Floats = NDArray[np.float64]
 
-_SPAN_S, _EVERY_S, _SPANS_MAX = 0.5, 0.25, 4000
+_SPAN_S, _EVERY_S = 0.5, 0.25
+_SPANS_MIN, _SPANS_MAX = 60, 4000
 _LAG_MAX_S, _LAG_STEP_S = 1.0, 0.02
 _BLOCK_S = 5.0
 _LEAST = 20
@@ -68,8 +69,10 @@ def of_reference_poses(drive: Drive) -> Witness | None:
         return None
     odometer = of_reference(drive.reference)
     first, last = odometer.stamp_s[0], odometer.stamp_s[-1] - _SPAN_S
-    count = int(max(min((last - first) / _EVERY_S, _SPANS_MAX), 0))
-    # of a long drive spans from everywhere, but each as long as the others
+    if not last > first:
+        return None
+    # of a long drive spans from everywhere, of a short one spans that overlap more
+    count = int(np.clip((last - first) / _EVERY_S, _SPANS_MIN, _SPANS_MAX))
     from_s = np.linspace(first, last, count)
     # the reference is linear between its poses: spans begin at one
     from_s = np.unique(odometer.stamp_s[np.searchsorted(odometer.stamp_s, from_s)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -72,15 +73,17 @@ def motion(stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def write_street(
-    path: Path, *, stated: Mounting, frames: int = 40, reference: bool = True, lower_px: float = 0.0
-) -> Path:
-    """A drive whose odometry is late and says too much, and whose drive.yaml states `stated`."""
+    path: Path, *, stated: Mounting, frames: int = 40, reference: bool = True,
+    lower_px: float = 0.0, baseline: float = 1.0,
+) -> Path:  # fmt: skip
+    """A drive whose odometry is late and says too much, and whose drive.yaml states `stated`, and a
+    baseline that is `baseline` times the true one."""
     ground = texture()
     stamps = 0.1 * np.arange(frames)
     poses, _, _ = motion(stamps)
     with folder_writer(
         path, name="street", frame=EarthFrame("local", name="street"), wheelbase_m=2.7,
-        rig=rig(stated),
+        rig=replace(rig(stated), baseline_m=0.4 * baseline),
     ) as writer:  # fmt: skip
         for stamp, pose in zip(stamps, poses, strict=True):
             pair = [view(ground, rig(), pose, right) for right in (False, True)]

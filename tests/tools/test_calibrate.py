@@ -50,9 +50,13 @@ def test_a_street_gives_back_its_truth(
     before = (street / "drive.yaml").read_text()
     (street / "drive.yaml").write_text(yaml.safe_dump(head))
     try:
-        assert run(["calibrate", str(street), "--pairs", "12"]) == 0
-        text = capsys.readouterr().out
-        assert "none: the drive agrees with its calibration" in text
+        assert run(["calibrate", str(street), "--pairs", "6", "--json"]) == 0
+        again = json.loads(capsys.readouterr().out)
+        assert not again["findings"]
+        # what is corrected already counts: the file would say the same again
+        scale = next(q for q in again["quantities"] if q["name"] == "odometry.speed_scale")
+        assert scale["stated"] == new["odometry"]["speed_scale"]
+        assert scale["found"] == pytest.approx(SCALE, abs=0.005)
         assert any("odometry.csv is corrected" in note for note in open_drive(street).notes)
     finally:
         (street / "drive.yaml").write_text(before)
@@ -66,6 +70,16 @@ def test_without_a_reference_the_camera_is_the_witness(
     text = capsys.readouterr().out
     assert "against the camera" in text
     assert "warning    camera: rows differ by 1.0" in text
+
+
+def test_a_wrong_baseline_is_seen_against_the_reference(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = write_street(tmp_path / "drive", stated=TRUE, frames=32, baseline=1.06)
+    assert run(["calibrate", str(drive), "--pairs", "6", "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["camera_scale"][0] == pytest.approx(1.06, abs=0.012)
+    assert "camera_scale" in {finding["kind"] for finding in tree["findings"]}
 
 
 @pytest.mark.parametrize(
