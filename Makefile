@@ -41,6 +41,7 @@ campaign: setup
 
 docs: setup
 	$(BIN)/python -m docs.make_settings
+	$(BIN)/python -m docs.make_third_party
 
 lock:
 	$(BIN)/python -m pip install --quiet uv

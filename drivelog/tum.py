@@ -87,7 +87,7 @@ def tum_text(trajectory: Trajectory) -> str:
     table[:, 0] = trajectory.stamp_s
     table[:, 1:3] = trajectory.poses[:, :2]
     table[:, 6], table[:, 7] = np.sin(half), np.cos(half)
-    return "".join(" ".join(map(_shortest, row)) + "\n" for row in table.tolist())
+    return "".join(" ".join(map(shortest, row)) + "\n" for row in table.tolist())
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -100,10 +100,10 @@ def spatial_tum_text(stamps_s: Floats, poses: Floats) -> str:
     """Rigid poses `(n, 4, 4)` as TUM lines in full precision."""
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     table = np.column_stack([stamps_s, poses[:, :3, 3], quaternions])
-    return "".join(" ".join(map(_shortest, row)) + "\n" for row in table.tolist())
+    return "".join(" ".join(map(shortest, row)) + "\n" for row in table.tolist())
 
 
-def _shortest(value: float) -> str:
+def shortest(value: float) -> str:
     """The shortest text that reads back to the same double."""
     return repr(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
 

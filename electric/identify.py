@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 from polemap.electric.signals import SignalLog
 from polemap.vehicle.discretize import zero_order_hold_series
 from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.motion import sideslip_at
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS, lateral_on_tyres
-from polemap.vehicle.slip import sideslip_at
 
 Floats = NDArray[np.float64]
 

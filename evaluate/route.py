@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.evaluation.bootstrap import Blocks
-from polemap.evaluation.error_blocks import all_blocks, settled_summary
+from polemap.evaluation.bootstrap import Blocks, all_blocks, settled_summary
 from polemap.evaluation.errors import Errors, errors_against
 from polemap.evaluation.exclusions import (
     Exclusion,

@@ -13,8 +13,9 @@ import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
-from polemap.drivelog.tum import write_tum
+from polemap.drivelog.tum import shortest, write_tum
 from polemap.localize.replay import Run
+from polemap.parsing.json_text import plain_values
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ def write_config(path: Path, config: Mapping[str, Any]) -> None:
 def write_metrics(path: Path, metrics: Mapping[str, Any]) -> None:
     """JSON; numbers that are not finite become null."""
     with atomic_file(path) as part:
-        text = json.dumps(_finite(metrics), indent=2, allow_nan=False)
+        text = json.dumps(plain_values(metrics), indent=2, allow_nan=False)
         part.write_text(text + "\n", encoding="utf-8")
 
 
@@ -81,7 +82,7 @@ def _write_health(path: Path, run: Run) -> None:
                 float(np.sqrt(estimate.covariance[2, 2])), health.yaw_rate_offset_radps,
                 health.speed_scale, update.nis if isfinite(update.nis) else "",
             )  # fmt: skip
-            file.write(",".join(map(_number, row)) + "\n")
+            file.write(",".join(map(_cell, row)) + "\n")
 
 
 def _write_timing(path: Path, run: Run, perception_s: Mapping[str, Mapping[float, float]]) -> None:
@@ -94,7 +95,7 @@ def _write_timing(path: Path, run: Run, perception_s: Mapping[str, Mapping[float
             spent = [*(stage.get(stamp_s, nan) for stage in perception_s.values())]
             spent += [update.update_s, update.offer_s]
             cells = [f"{1e3 * value:.4f}" if isfinite(value) else "" for value in spent]
-            file.write(",".join([_number(stamp_s), *cells]) + "\n")
+            file.write(",".join([shortest(stamp_s), *cells]) + "\n")
 
 
 def _write_output(path: Path, run: Run) -> None:
@@ -111,20 +112,8 @@ def _write_output(path: Path, run: Run) -> None:
             table.tolist(), run.flags, run.distrust, run.kf.poses.tolist(), strict=True
         ):
             cells = (*row, flag, int(not reason), reason, *pose)
-            file.write(",".join(map(_number, cells)) + "\n")
+            file.write(",".join(map(_cell, cells)) + "\n")
 
 
-def _number(value: Any) -> str:
-    if isinstance(value, float):
-        return repr(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
-    return str(value)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return int(value) if isinstance(value, np.integer) else value
+def _cell(value: Any) -> str:
+    return shortest(value) if isinstance(value, float) else str(value)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.vehicle.motion import velocity_at
 from polemap.vehicle.packed import rotate, rotate_back
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import lateral, schedule
-from polemap.vehicle.slip import velocity_at
 
 Floats = NDArray[np.float64]
 _PREVIEW_S = 0.22

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import copysign, isfinite
 
 from polemap.drivelog.errors import ConfigError
+from polemap.vehicle.motion import velocity_at
 from polemap.vehicle.packed import rotate, rotate_back, transform_point
-from polemap.vehicle.slip import velocity_at
 from polemap.vehicle.tyre import brush_force
 
 GRAVITY_MPS2 = 9.81

@@ -16,6 +16,7 @@ from polemap.calibration.rows import RowAgreement
 from polemap.drivelog.atomic import atomic_file, atomic_folder, check_folder
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import OutputError
+from polemap.parsing.json_text import plain_values
 from polemap.settings import load_settings
 from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
 from polemap.tools.progress import progress
@@ -168,16 +169,5 @@ def as_dict(drive: Drive, found: Calibration) -> dict[str, Any]:
         "missing": list(found.missing),
         "findings": [finding.to_dict() for finding in found.findings()],
     }
-    cleaned: dict[str, Any] = _finite(tree)
+    cleaned: dict[str, Any] = plain_values(tree)
     return cleaned
-
-
-def _finite(value: Any) -> Any:
-    """JSON knows no NaN."""
-    if isinstance(value, dict):
-        return {name: _finite(part) for name, part in value.items()}
-    if isinstance(value, list):
-        return [_finite(part) for part in value]
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

@@ -37,8 +37,23 @@ VERBS = {
     "estimate": ("estimate", "Run a side-slip or velocity estimator on a signal log."),
     "study": ("study", "Rerun a source paper's simulation beside its claims."),
 }
+FIRST_STEPS = """\
+Start here:
+  polemap demo --out demo            the whole way on a simulated drive, in two minutes
+  polemap info DRIVE                 what is in a drive of yours: a KITTI folder, a ROS bag, MCAP
+  polemap convert LOG.csv --write-mapping MAP.yaml   a logger's CSV, NMEA or GPX becomes a drive
+  polemap new DRIVE                  a drive folder to fill yourself
+
+Then:
+  polemap map DRIVE --out MAP.gpkg                    poles of a drive, on a map
+  polemap localize OTHER --map MAP.gpkg --out RUN     another drive, localized in it
+  polemap report RUN --out REPORT                     how well
+
+polemap VERB --help starts with examples.
+"""
 GOOD, CRASH, USER_ERROR, INTERRUPTED = 0, 1, 2, 130
 LONGEST_MESSAGE = 300
+BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 
 
 def _listed_only() -> None:
@@ -59,7 +74,6 @@ def build_app(verb: str | None) -> typer.Typer:
     """The command line with `verb` ready to run and the others listed."""
     app = typer.Typer(
         name="polemap",
-        add_completion=False,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -75,7 +89,7 @@ def build_app(verb: str | None) -> typer.Typer:
             typer.echo(f"polemap {__version__}")
             raise typer.Exit
         if context.invoked_subcommand is None:
-            typer.echo(context.get_help())
+            typer.echo(f"{FIRST_STEPS}\n{context.get_help()}")
 
     for name, (module, summary) in VERBS.items():
         function = (
@@ -88,7 +102,7 @@ def build_app(verb: str | None) -> typer.Typer:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; every error that the user can mend is one line on stderr."""
-    verb = next((word for word in arguments if not word.startswith("-")), None)
+    verb = next((word for word in _words(arguments) if not word.startswith("-")), None)
     try:
         result = build_app(verb)(args=list(arguments), prog_name="polemap", standalone_mode=False)
         return result if isinstance(result, int) else GOOD
@@ -120,6 +134,14 @@ def run(arguments: Sequence[str]) -> int:
         if code is None:
             raise
         return _interrupted(code)
+
+
+def _words(arguments: Sequence[str]) -> Sequence[str]:
+    """The words of the call, or those that a shell asks to complete."""
+    if "_POLEMAP_COMPLETE" not in os.environ:
+        return arguments
+    line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
+    return line.split()[1:]
 
 
 def _interrupted(code: int) -> int:
@@ -180,8 +202,19 @@ def _flushed(code: int) -> int:
     return code
 
 
+def use_one_blas_thread() -> None:
+    """Set threads of linear algebra to one, unless the caller has set them.
+
+    The matrices are small, and work that is worth it runs in processes: more threads only take
+    cores from these. Libraries read these variables when numpy is imported, which this precedes.
+    """
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")
+
+
 def main() -> None:
     """Entry point; a crash leaves its traceback and exit code 1."""
+    use_one_blas_thread()
     interrupts.install()
     _open_standard_streams()
     warnings.showwarning = _note

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -31,8 +31,9 @@ from polemap.stereo.matching import make_matcher
 
 Floats = NDArray[np.float64]
 
-FORMAT = 2
+FORMAT = 3
 STAGES = ("disparity", "detection")
+_NO_POLES = pole_detections(0.0, 0.0, np.empty((0, 2)), np.empty((0, 2, 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,29 +96,19 @@ def raw_scans(
 
 def write_scans(path: Path, raw: RawScans) -> None:
     """Keep scans as plain arrays."""
-    scans = raw.scans
-    counts = np.array([len(scan) for scan in scans], dtype=np.int64)
-    views = [scan.view for scan in scans]
-    bins = np.array([len(v.free_range_m) if v else -1 for v in views], dtype=np.int64)
-
-    def joined(values: list[Floats], *shape: int) -> Floats:
-        return np.concatenate([*values, np.empty((0, *shape))])
-
+    views = [scan.view for scan in raw.scans]
+    poles: dict[str, Any] = Detections.concatenate([_NO_POLES, *raw.scans]).arrays()
     with atomic_file(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
             format=np.array(FORMAT),
             spent=raw.spent_s,
-            stamps=np.array([(scan.stamp_s, scan.arrival_s) for scan in scans]).reshape(-1, 2),
-            counts=counts,
-            points=joined([scan.points_vehicle_m for scan in scans], 2),
-            covariance=joined([scan.covariance_m2 for scan in scans], 2, 2),
-            width=joined([scan.width_m for scan in scans]),
-            existence=joined([scan.probability for scan in scans]),
-            height=joined([scan.height_m for scan in scans]),
-            bins=bins,
+            stamps=np.array([(scan.stamp_s, scan.arrival_s) for scan in raw.scans]).reshape(-1, 2),
+            counts=np.array([len(scan) for scan in raw.scans], dtype=np.int64),
+            bins=np.array([len(v.free_range_m) if v else -1 for v in views], dtype=np.int64),
             sector=np.array([_sector(v) for v in views]).reshape(-1, 5),
-            free=joined([v.free_range_m for v in views if v is not None]),
+            free=np.concatenate([np.empty(0), *(v.free_range_m for v in views if v)]),
+            **poles,
         )
 
 
@@ -134,52 +125,37 @@ def _scans(data: Mapping[str, NDArray[Any]]) -> RawScans | None:
     if int(data.get("format", np.array(0))) != FORMAT:
         return None
     _check_rows(data)
+    poles = Detections.from_arrays(data, stamp_s=0.0, arrival_s=0.0)
     ends = np.concatenate([[0], np.cumsum(data["counts"])])
     free_ends = np.concatenate([[0], np.cumsum(np.maximum(data["bins"], 0))])
     scans = []
     for i, (stamp_s, arrival_s) in enumerate(data["stamps"].tolist()):
-        part = slice(int(ends[i]), int(ends[i + 1]))
         view = None
         if data["bins"][i] >= 0:
-            sector = data["sector"][i]
-            view = VisibleRegion(
-                sector[:2],
-                float(sector[2]),
-                float(sector[3]),
-                float(sector[4]),
-                data["free"][int(free_ends[i]) : int(free_ends[i + 1])],
-            )
-        scans.append(
-            pole_detections(
-                stamp_s,
-                arrival_s,
-                data["points"][part],
-                data["covariance"][part],
-                width_m=data["width"][part],
-                height_m=data["height"][part],
-                probability=data["existence"][part],
-                view=view,
-            )
-        )
+            x, y, left, right, nearest = data["sector"][i].tolist()
+            free = data["free"][free_ends[i] : free_ends[i + 1]]
+            view = VisibleRegion(np.array([x, y]), left, right, nearest, free)
+        part = poles.take(slice(ends[i], ends[i + 1]))
+        scans.append(replace(part, stamp_s=stamp_s, arrival_s=arrival_s, view=view))
     return RawScans(tuple(scans), data["spent"])
 
 
 def _check_rows(data: Mapping[str, NDArray[Any]]) -> None:
-    """Every array has the rows that the counts promise.
+    """Every array has the type and the rows that the counts promise.
 
     Raises:
         ValueError: one has not.
     """
     scans, poles = len(data["stamps"]), int(data["counts"].sum())
-    free = int(np.maximum(data["bins"], 0).sum())
     shapes = {
         "stamps": (scans, 2), "counts": (scans,), "bins": (scans,), "sector": (scans, 5),
-        "spent": (scans, len(STAGES)), "free": (free,), "points": (poles, 2),
-        "covariance": (poles, 2, 2), "width": (poles,), "existence": (poles,), "height": (poles,),
+        "spent": (scans, len(STAGES)), "free": (int(np.maximum(data["bins"], 0).sum()),),
     }  # fmt: skip
+    kinds = {name: np.dtype(np.int64 if name in ("counts", "bins") else float) for name in shapes}
+    for name, column in _NO_POLES.arrays().items():
+        shapes[name], kinds[name] = (poles, *column.shape[1:]), column.dtype
     for name, shape in shapes.items():
-        whole = name in ("counts", "bins")
-        if data[name].shape != shape or data[name].dtype != (np.int64 if whole else np.float64):
+        if data[name].shape != shape or data[name].dtype != kinds[name]:
             raise ValueError(f"{name} is {data[name].dtype} {data[name].shape}, not {shape}")
     if (data["counts"] < 0).any() or not np.isfinite(data["stamps"]).all():
         raise ValueError("a scan without a stamp, or of less than no poles")

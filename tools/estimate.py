@@ -30,8 +30,8 @@ from polemap.tools.findings import require_plausible
 from polemap.tools.option_types import ForceOption
 from polemap.tools.progress import progress
 from polemap.vehicle.io import car_names, dump_car, load_car
+from polemap.vehicle.motion import sideslip_at
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.slip import sideslip_at
 
 Floats = NDArray[np.float64]
 SETTLED_S = 2.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from itertools import cycle
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +16,7 @@ from polemap.drivelog.errors import ConfigError
 from polemap.electric.studies.papers import STUDIES
 from polemap.electric.studies.study import Study
 from polemap.extras import check_installed, need
+from polemap.parsing.json_text import plain_values
 from polemap.simulate.closed_loop.registry import LOOP_STUDIES
 from polemap.tools.progress import progress
 from polemap.vehicle.io import load_car
@@ -109,9 +109,8 @@ def table(study: Study, seeds: int) -> str:
 def write_study(study: Study, folder: Path) -> None:
     """`NAME.json` with the figures and `NAME.png` with the curves over time."""
     with atomic_file(folder / f"{study.name}.json") as part:
-        # JSON knows no infinity: what never settles is null
-        finite = {k: v if isfinite(v) else None for k, v in study.figures.items()}
-        part.write_text(json.dumps(finite, indent=1, allow_nan=False), "utf-8")
+        # what never settles is null
+        part.write_text(json.dumps(plain_values(study.figures), indent=1, allow_nan=False), "utf-8")
     figure = _panels(study) if study.panels else _side_slips(study)
     with atomic_file(folder / f"{study.name}.png") as part:
         figure.savefig(str(part), dpi=110)

@@ -1,11 +1,16 @@
-"""How a car moves between two moments: arcs of odometry (CTRV of single states: `packed.py`).
+"""How a car moves between two moments, arcs of odometry; how one point moves with another.
 
-Every function takes arrays with leading dimensions, so one code serves a single pose `(3,)` and
-all particles `(n, 3)`. Nothing divides by the yaw rate: the chord of an arc is its length times
-`sin(h) / h` with half the turned angle h, which is smooth through zero.
+Arcs take arrays with leading dimensions, so one code serves a single pose `(3,)` and all particles
+`(n, 3)`. Nothing divides by the yaw rate: the chord of an arc is its length times `sin(h) / h` with
+half the turned angle h, which is smooth through zero. CTRV of single states is in `packed.py`. What
+a car's tyres slip in a bend is `Car.rear_slip_rad_per_mps2`.
+
+Axes ISO 8855: x forward, y left, yaw rate counter-clockwise.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,3 +70,21 @@ def move_along_arc(
     place = start[..., :2] + arc_displacement(start[..., 2], distance_m, turn_rad, sideslip_rad)
     yaw = np.broadcast_to(wrap_angle(start[..., 2] + half + half), place.shape[:-1])
     return np.concatenate([place, yaw[..., np.newaxis]], axis=-1)
+
+
+def velocity_at(
+    vx_mps: float, vy_mps: float, yaw_rate_radps: float, ahead_m: float, left_m: float = 0.0
+) -> tuple[float, float]:
+    """Velocity of the point `ahead_m` before and `left_m` beside the one that has (vx, vy).
+
+    Floats or arrays of one shape.
+    """
+    return vx_mps - yaw_rate_radps * left_m, vy_mps + yaw_rate_radps * ahead_m
+
+
+def sideslip_at(sideslip_rad: Any, yaw_rate_radps: Any, speed_mps: Any, ahead_m: float) -> Any:
+    """Side-slip of a point `ahead_m` before the one that has `sideslip_rad`, for small angles.
+
+    `beta + x gamma / v`; floats or arrays, the speed not zero.
+    """
+    return sideslip_rad + ahead_m * yaw_rate_radps / speed_mps

@@ -11,7 +11,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.map.pole_map import PoleMap
 from polemap.simulate.config import DetectorConfig
-from polemap.simulate.points.drive import PointDrive, PointScenario, simulate_points
+from polemap.simulate.points.drive import PointDrive, PointScenario, gnss, simulate_points
 from polemap.simulate.points.motion import (
     NO_SLIP,
     RATE_HZ,
@@ -20,7 +20,6 @@ from polemap.simulate.points.motion import (
     Slip,
     driven,
 )
-from polemap.simulate.points.presets import gnss
 from polemap.simulate.sensors import ReferenceErrors
 
 Floats = NDArray[np.float64]

@@ -20,9 +20,8 @@ from polemap.drivelog.detections import Detections
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.simulate.config import DetectorConfig
-from polemap.simulate.points.drive import ODOMETRY, PointScenario, simulate_points
+from polemap.simulate.points.drive import ODOMETRY, PointScenario, gnss, simulate_points
 from polemap.simulate.points.motion import GivenPoses
-from polemap.simulate.points.presets import gnss
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "endurance.svg"
 PART_S, RATE_HZ, RADIUS_M, SPEED_MPS = 900.0, 100, 60.0, 8.0

@@ -23,10 +23,9 @@ from polemap.localize.output_filter.filter import OutputFilter
 from polemap.localize.output_filter.noise_model import NoiseModel
 from polemap.localize.replay import replay
 from polemap.simulate.config import DetectorConfig
-from polemap.simulate.points.drive import PointDrive, simulate_points
+from polemap.simulate.points.drive import POSES_IN_CITY, STREWN_CITY, PointDrive, simulate_points
 from polemap.simulate.points.motion import CityTraffic, WhiteAccelerations
 from polemap.simulate.points.pose_source import PointPose, PoseSource
-from polemap.simulate.points.presets import POSES_IN_CITY, STREWN_CITY
 from polemap.vehicle.packed import unpack
 
 Floats = NDArray[np.float64]

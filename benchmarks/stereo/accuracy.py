@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from benchmarks.harness import RECORDINGS
 from benchmarks.stereo.curves import fitted_law, signs
-from benchmarks.stereo.pairs import Pair, read_pairs
+from benchmarks.stereo.pairs import Pair, Variant, read_pairs, variants
 from benchmarks.stereo.scenes import PoleScore, rendered_scene, score_poles
-from benchmarks.stereo.variants import Variant, variants
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import StereoMatcher, make_matcher
 from polemap.stereo.trust import TrustLaw

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.stereo.pairs import Pair, read_pairs
-from benchmarks.stereo.variants import Variant, variants
+from benchmarks.stereo.pairs import Pair, Variant, read_pairs, variants
 from polemap.stereo.checks import SPECKLE_STEP_PX, without_speckles
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair

@@ -19,8 +19,7 @@ import numpy as np
 
 from benchmarks.stereo.accuracy import score_rendered
 from benchmarks.stereo.curves import Signs, at_densities, signs
-from benchmarks.stereo.pairs import Pair, read_pairs
-from benchmarks.stereo.variants import Variant
+from benchmarks.stereo.pairs import Pair, Variant, read_pairs
 from polemap.stereo.config import Penalties, StepPenalty, StereoConfig
 from polemap.stereo.matching import make_matcher
 from polemap.stereo.trust import LAWS

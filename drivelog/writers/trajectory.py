@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import ConfigError, FrameError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
-from polemap.drivelog.tum import tum_text
+from polemap.drivelog.tum import shortest, tum_text
 from polemap.vehicle.pose import rotation
 from polemap.vehicle.trajectory import Trajectory
 
@@ -186,5 +186,5 @@ def _plain(value: object) -> float | str | None:
 
 def _cell(value: object) -> str:
     if isinstance(value, float):
-        return repr(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+        return shortest(value)
     return str(value)

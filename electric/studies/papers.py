@@ -12,8 +12,7 @@ from polemap.electric.estimators.registry import make_estimator
 from polemap.electric.signals import SignalLog, play
 from polemap.electric.studies.convergence import frame_radii, update_jumps
 from polemap.electric.studies.outcomes import EVERY, SETTLED_S, outcome, sideslip_curves
-from polemap.electric.studies.scenes import Scene, Simulated, drive_with_camera, drive_with_gps
-from polemap.electric.studies.settings import (
+from polemap.electric.studies.scenes import (
     ACCELERATION_BIAS_MPS2,
     GPS_NOISE,
     GPS_STIFFNESS_NPRAD,
@@ -22,6 +21,10 @@ from polemap.electric.studies.settings import (
     MISMATCH,
     PATTERN_S,
     ROLL_RAD_PER_MPS2,
+    Scene,
+    Simulated,
+    drive_with_camera,
+    drive_with_gps,
 )
 from polemap.electric.studies.study import Curve, Line, Report, Study
 from polemap.vehicle.parameters import Car

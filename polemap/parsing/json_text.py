@@ -1,10 +1,14 @@
-"""JSON from files and metadata: bounded in size, depth and digits."""
+"""JSON from files and metadata: bounded in size, depth and digits; and values for JSON to write."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from polemap.parsing.errors import ParsingError, short
 from polemap.parsing.text import MEGABYTE, read_text
@@ -42,6 +46,19 @@ def parse_json(text: str) -> Any:
             json.dumps(value, ensure_ascii=False).encode("utf-8")
         except UnicodeEncodeError as error:
             raise ParsingError("a text holds half a character (a lone surrogate)") from error
+    return value
+
+
+def plain_values(value: Any) -> Any:
+    """Plain Python values for JSON, which has no NaN and no infinity: they become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_values(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain_values(value.item())
+    if isinstance(value, float) and not isfinite(value):
+        return None
     return value
 
 

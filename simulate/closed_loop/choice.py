@@ -6,7 +6,7 @@ from polemap.drivelog.errors import ConfigError
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import CAMERA, GPS, Estimator
 from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
-from polemap.electric.studies.settings import GPS_NOISE, MISMATCH
+from polemap.electric.studies.scenes import GPS_NOISE, MISMATCH
 from polemap.vehicle.parameters import Car
 
 LATE = (CAMERA, GPS)

@@ -8,7 +8,7 @@ import numpy as np
 
 from polemap.electric.control.lateral_stability import LateralLimits
 from polemap.electric.estimators.base import GPS, Estimate
-from polemap.electric.studies.settings import GPS_STIFFNESS_NPRAD, KMH
+from polemap.electric.studies.scenes import GPS_STIFFNESS_NPRAD, KMH
 from polemap.electric.studies.study import Curve, Line, Panel, Report, Study, curves_of
 from polemap.simulate.closed_loop.cars import plant_of, with_stiffness
 from polemap.simulate.closed_loop.choice import NONE, REJECTING_NOISE, TRUTH, behind, choose

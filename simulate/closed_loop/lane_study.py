@@ -8,13 +8,12 @@ import numpy as np
 
 from polemap.electric.control.body_slip import PiGains, feed_forward_gain, place_pi
 from polemap.electric.estimators.base import CAMERA, GPS
-from polemap.electric.studies.settings import KMH
+from polemap.electric.studies.scenes import KMH
 from polemap.electric.studies.study import Line, Panel, Report, Study, curves_of
 from polemap.simulate.closed_loop.cars import plant_of
 from polemap.simulate.closed_loop.choice import CAMERA_NOISE, NONE, TRUTH, behind, choose
 from polemap.simulate.closed_loop.cornering import yaw_moment_limit_nm
-from polemap.simulate.closed_loop.lane_change import BodySlipLoop, LaneChange
-from polemap.simulate.closed_loop.lateral import LateralRun, run_lateral
+from polemap.simulate.closed_loop.lateral import BodySlipLoop, LaneChange, LateralRun, run_lateral
 from polemap.simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
 from polemap.simulate.closed_loop.sensing import SensorModel
 from polemap.vehicle.parameters import Car

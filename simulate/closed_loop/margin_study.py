@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from polemap.electric.control.body_slip import place_pi
 from polemap.electric.estimators.base import CAMERA
-from polemap.electric.studies.settings import KMH
+from polemap.electric.studies.scenes import KMH
 from polemap.electric.studies.study import Curve, Line, Panel, Report, Study
 from polemap.simulate.closed_loop.choice import choose
 from polemap.simulate.closed_loop.margins import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from polemap.drivelog.errors import ConfigError
-from polemap.electric.studies.settings import KMH
+from polemap.electric.studies.scenes import KMH
 from polemap.electric.studies.study import Line, Panel, Report, Study, curves_of
 from polemap.simulate.closed_loop.path_following import (
     SWING_M,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polemap.evaluation.bootstrap import Blocks, paired_difference
-from polemap.evaluation.error_blocks import error_blocks
+from polemap.evaluation.bootstrap import Blocks, error_blocks, paired_difference
 from polemap.evaluation.errors import errors_against, summary
 from polemap.evaluation.meanpath import MeanPath
 from polemap.tools.report.tables import (

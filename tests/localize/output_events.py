@@ -6,8 +6,7 @@ import numpy as np
 
 from polemap.localize.output_filter.filter import OutputFilter
 from polemap.localize.output_filter.noise_model import NoiseModel
-from polemap.simulate.points.drive import simulate_points
-from polemap.simulate.points.presets import POSES_IN_CITY
+from polemap.simulate.points.drive import POSES_IN_CITY, simulate_points
 from polemap.vehicle.packed import unpack
 
 CAR = NoiseModel()

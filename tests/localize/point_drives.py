@@ -13,12 +13,13 @@ from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.simulate.points.drive import (
+    STREWN_CITY,
     WHEELBASE_M,
     PointDrive,
     PointScenario,
+    gnss,
     simulate_points,
 )
-from polemap.simulate.points.presets import STREWN_CITY, gnss
 from polemap.vehicle.pose import wrap_angle
 
 SHORT = PointScenario(duration_s=25.0)

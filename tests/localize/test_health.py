@@ -12,9 +12,8 @@ from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.replay import Run, replay
 from polemap.simulate.config import DetectorConfig
-from polemap.simulate.points.drive import PointDrive, PointScenario, simulate_points
+from polemap.simulate.points.drive import PointDrive, PointScenario, gnss, simulate_points
 from polemap.simulate.points.motion import GivenPoses
-from polemap.simulate.points.presets import gnss
 
 FEW = LocalizeConfig(particles=300)
 

@@ -16,8 +16,7 @@ from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.output_filter.limiter import OutputPose
 from polemap.localize.usable import usable_fix, usable_odometry, usable_poles
-from polemap.simulate.points.drive import PointDrive, simulate_points
-from polemap.simulate.points.presets import STREWN_CITY
+from polemap.simulate.points.drive import STREWN_CITY, PointDrive, simulate_points
 
 Change = Callable[[Iterable[Sample]], Iterator[Sample]]
 ODD_S = 8.0

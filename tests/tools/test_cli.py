@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
+
 import pytest
 
 from polemap.drivelog.errors import InputError
@@ -57,3 +62,53 @@ def test_user_error_is_one_line_and_crash_is_not_hidden(
     monkeypatch.setattr(cli, "import_module", lambda _: raising(ZeroDivisionError("a bug")))
     with pytest.raises(ZeroDivisionError):
         cli.run(["info"])
+
+
+def test_alone_it_says_what_to_do_first(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run([]) == cli.GOOD
+    said = capsys.readouterr().out
+    assert said.startswith("Start here:\n  polemap demo --out demo")
+    for verb in re.findall(r"^  polemap (\w+)", cli.FIRST_STEPS, re.MULTILINE):
+        assert verb in cli.VERBS
+
+
+@pytest.mark.parametrize(
+    ("shell", "words", "wanted"),
+    [("bash", "polemap loc", "localize"), ("zsh", "polemap convert --write", "--write-mapping"),
+     ("fish", "polemap convert --write", "--write-mapping")],
+)  # fmt: skip
+def test_shells_complete_verbs_and_their_options(shell: str, words: str, wanted: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "polemap"],
+        env={
+            **os.environ,
+            "_POLEMAP_COMPLETE": f"complete_{shell}",
+            "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+            "_TYPER_COMPLETE_ARGS": words,
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split()) - 1),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert wanted in done.stdout
+    assert not done.stderr
+
+
+def test_linear_algebra_has_one_thread_before_numpy_comes() -> None:
+    """Unless the caller says otherwise."""
+    program = """
+import os, sys
+from polemap.tools import cli
+assert "numpy" not in sys.modules
+cli.use_one_blas_thread()
+import numpy as np, threadpoolctl
+np.ones((8, 8)) @ np.ones((8, 8))
+used = {pool["num_threads"] for pool in threadpoolctl.threadpool_info()}
+print(used, os.environ["MKL_NUM_THREADS"])
+"""
+    clean = {name: value for name, value in os.environ.items() if name not in cli.BLAS_THREADS}
+    done = subprocess.run([sys.executable, "-c", program], env={**clean, "MKL_NUM_THREADS": "3"},
+                          capture_output=True, text=True, check=True)  # fmt: skip
+    assert done.stdout == "{1} 3\n"

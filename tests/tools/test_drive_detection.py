@@ -97,7 +97,7 @@ def test_scans_survive_the_cache(tmp_path: Path) -> None:
                 0.1 * number, 0.1 * number + 0.05, rng.normal(size=(count, 2)),
                 rng.normal(size=(count, 2, 2)), width_m=rng.random(count),
                 probability=rng.random(count), view=view, height_m=rng.random(count),
-            )
+            ).with_columns(kind=np.full(count, number, dtype=np.int8))
         )  # fmt: skip
     path = tmp_path / "scans.npz"
     spent_s = rng.random((3, 2))
@@ -108,8 +108,9 @@ def test_scans_survive_the_cache(tmp_path: Path) -> None:
     assert np.array_equal(back.spent_s, spent_s)
     for one, two in zip(scans, back.scans, strict=True):
         assert (one.stamp_s, one.arrival_s) == (two.stamp_s, two.arrival_s)
-        for name in ("points_vehicle_m", "covariance_m2", "width_m", "track_id", "probability"):
-            assert np.array_equal(getattr(one, name), getattr(two, name))
+        for name, values in one.arrays().items():
+            assert np.array_equal(values, getattr(two, name), equal_nan=True)
+            assert values.dtype == getattr(two, name).dtype
         assert (one.view is None) == (two.view is None)
         if one.view is not None and two.view is not None:
             assert np.array_equal(one.view.free_range_m, two.view.free_range_m)

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polemap.vehicle.io import car_names, load_car
+from polemap.vehicle.motion import sideslip_at, velocity_at
 from polemap.vehicle.single_track import lateral
-from polemap.vehicle.slip import sideslip_at, velocity_at
 
 speeds, rates, arms = st.floats(1.0, 40.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.parsing.json_text import plain_values
 from polemap.tools.report.route_tables import passes_text, poles_per_km, route_type
 from polemap.tools.report.run_tables import EVENTS, latency_ms, runs_of, whole_update_ms
 from polemap.tools.report.tables import Table
@@ -43,7 +44,7 @@ def document(
             for table in tables
         },
     }
-    cleaned: dict[str, Any] = _finite(content)
+    cleaned: dict[str, Any] = plain_values(content)
     return cleaned
 
 
@@ -189,16 +190,3 @@ def _events(result: RouteResult) -> dict[str, Any]:
             for key in EVENTS
         }
     return events
-
-
-def _finite(value: Any) -> Any:
-    """Plain Python values, NaN and infinity as None: JSON has neither."""
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, np.generic):
-        return _finite(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from polemap.map.io import read_map
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import ParsingError, named
-from polemap.parsing.json_text import parse_json
+from polemap.parsing.json_text import parse_json, plain_values
 from polemap.settings import Settings
 from polemap.tools.drive_detection import Source, read_kept_scans, tracked
 from polemap.vehicle.trajectory import Trajectory
@@ -71,7 +69,7 @@ def do_replay(job: ReplayJob) -> None:
             pf_poses=run.pf.poses,
             kf_stamp_s=kf.stamp_s,
             kf_poses=kf.poses,
-            metrics=np.array(json.dumps(_plain(metrics))),
+            metrics=np.array(json.dumps(plain_values(metrics))),
         )
 
 
@@ -122,15 +120,3 @@ def _tracked(
     drive = source.open()
     raw = read_kept_scans(detections)[0] if detections else drive.scans
     return tracked(drive, raw, PolemapConfig.model_validate_json(polemap), every=every).scans
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

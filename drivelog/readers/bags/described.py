@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers import folder
 from polemap.drivelog.readers.bags import mapping as m
-from polemap.drivelog.readers.bags.container import NOTHING, WHOLE, Container, Walk
-from polemap.drivelog.readers.bags.decoding import decoder_of, stamp_ns
-from polemap.drivelog.readers.drive_yaml import AntennaPart, read_drive_yaml
+from polemap.drivelog.readers.drive_yaml import read_drive_yaml
 from polemap.drivelog.readers.poles import stated_view
 from polemap.extras import need
 
@@ -109,14 +107,14 @@ def own_mapping(topics: Collection[str], described: Drive) -> m.Mapping:
     fixes = next((name for name in (FIX, POSITION) if name in topics), None)
     if fixes is not None:
         ahead_m, left_m = (float(value) for value in described.gnss_antenna_m)
-        antenna = AntennaPart(x_m=ahead_m, y_m=left_m)
+        antenna = m.Antenna(x_m=ahead_m, y_m=left_m)
         parts["gnss"] = m.GnssPart(topic=fixes, antenna=antenna)
     if REFERENCE in topics:
         parts["reference"] = m.ReferencePart(topic=REFERENCE)
     return m.Mapping(**parts)
 
 
-def with_description(read: Drive, described: Drive, scans: tuple[Detections, ...]) -> Drive:
+def with_description(read: Drive, described: Drive) -> Drive:
     """The streams of a recording with the name, car, camera, laps and notes of the description."""
     return replace(
         described,
@@ -129,25 +127,11 @@ def with_description(read: Drive, described: Drive, scans: tuple[Detections, ...
         odometry=read.odometry,
         gnss=read.gnss,
         reference=read.reference,
-        scans=scans,
+        scans=read.scans,
+        notes=(*described.notes, *read.notes),
         problems={**described.problems, **read.problems},
         findings=(*described.findings, *read.findings),
     )
-
-
-def pole_scans(files: Sequence[Container], view: VisibleRegion | None) -> tuple[Detections, ...]:
-    """Every scan on `POLES`, sorted by stamp."""
-    scans = []
-    for file in files:
-        walk = Walk(lambda channel: WHOLE if channel.topic == POLES else NOTHING)
-        for message in file.walk(walk):
-            channel = walk.channels[message.channel]
-            if channel.topic == POLES:
-                decoded = decoder_of(channel)(message.data)
-                scans.append(
-                    pole_scan(decoded, stamp_ns(decoded) / 1e9, message.log_ns / 1e9, view)
-                )
-    return tuple(sorted(scans, key=lambda scan: scan.stamp_s))
 
 
 def pole_scan(decoded: Any, stamp_s: float, log_s: float, view: VisibleRegion | None) -> Detections:

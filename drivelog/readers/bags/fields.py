@@ -23,6 +23,7 @@ COLUMNS: dict[Kind, tuple[str, ...]] = {
     "twist": ("speed_mps", "lateral_mps", "yaw_rate_radps"),
     "ackermann": ("speed_mps", "road_wheel_angle_rad"),
     "number": ("value",),
+    "poles": ("x_m", "y_m", "var_x_m2", "var_y_m2", "cov_xy_m2", "width_m", "probability"),
 }
 
 
@@ -84,6 +85,11 @@ def _number(message: Any) -> Row:
     return (message.data,)
 
 
+def _poles(message: Any) -> Row:
+    """Of all poles of a scan, one after the other."""
+    return [getattr(pole, name) for pole in message.poles for name in COLUMNS["poles"]]
+
+
 _EXTRACTS: dict[Kind, Extract] = {
     "gnss": _gnss,
     "imu": _imu,
@@ -92,6 +98,7 @@ _EXTRACTS: dict[Kind, Extract] = {
     "twist": _twist,
     "ackermann": _ackermann,
     "number": _number,
+    "poles": _poles,
 }
 
 

@@ -20,6 +20,7 @@ _FUSED = re.compile(
 )
 _DRIFTING = re.compile(r"visual|vio|(?:^|[/_])vo(?:[/_]|$)|icp|lio|kiss|lidar|laser")
 _WHEELS = re.compile(r"wheel|encoder|(?:^|[/_])can(?:[/_]|$)|vehicle|chassis|odom")
+_FIX = re.compile(r"gnss|gps|(?:^|[/_])fix(?:[/_]|$)")
 _EARTH_FRAMES = ("map", "world", "utm", "earth", "enu", "global")
 # a pose topic without any hint is taken for a reference only in a frame that does not drift
 _REFERENCE_MIN = 3
@@ -137,7 +138,16 @@ def _imu_score(topic: Topic) -> int:
     return 2 + ("imu" in _name(topic)) - bool(re.search("raw|camera|lidar", _name(topic)))
 
 
+def _is_local_fix(topic: Topic) -> bool:
+    """Whether a pose is a receiver's in a local frame: by its name, and it never turns."""
+    if topic.kind != "pose" or not _FIX.search(_name(topic)):
+        return False
+    return all(np.ptp(topic.column(name)) == 0.0 for name in ("qx", "qy", "qz", "qw"))
+
+
 def _gnss_score(topic: Topic) -> int:
+    if _is_local_fix(topic):
+        return 1
     if topic.kind != "gnss" or not np.any(topic.column("status") >= 0):
         return 0
     name = _name(topic)
@@ -146,7 +156,7 @@ def _gnss_score(topic: Topic) -> int:
 
 def _reference_score(topic: Topic) -> int:
     name = _name(topic)
-    if topic.kind not in ("pose", "odometry") or _COMMAND.search(name):
+    if topic.kind not in ("pose", "odometry") or _COMMAND.search(name) or _is_local_fix(topic):
         return 0
     earth = topic.frame_id.lower().split("/")[-1] in _EARTH_FRAMES
     score = 2 if topic.kind == "pose" else 0
@@ -177,9 +187,15 @@ def used_topics(mapping: m.Mapping) -> dict[str, str]:
     return uses
 
 
+def pole_topic(index: LogIndex) -> str | None:
+    """The first topic of poles that were detected elsewhere."""
+    return next((name for name, topic in index.topics.items() if topic.kind == "poles"), None)
+
+
 def _explain(index: LogIndex, made: Guess) -> None:
     """Fill `uses` for every topic: its use, or why it has none."""
     used = used_topics(made.mapping)
+    poles = pole_topic(index)
     doubtful = {name: role for role, names in made.ambiguous.items() for name in names}
     for name, topic in index.topics.items():
         if name in used:
@@ -188,6 +204,8 @@ def _explain(index: LogIndex, made: Guess) -> None:
             made.uses[name] = f"not used: one of several that could be {doubtful[name]}"
         elif topic.kind == "transforms":
             made.uses[name] = "mountings"
+        elif name == poles:
+            made.uses[name] = "poles detected elsewhere"
         elif name not in made.uses:
             made.uses[name] = f"not used: {_why_not(topic, used)}"
 
@@ -198,6 +216,8 @@ def _why_not(topic: Topic, used: Iterable[str]) -> str:
         return "holds no message"
     if topic.undecodable == topic.count or (topic.reason and not topic.undecodable):
         return topic.reason[:100]
+    if topic.kind == "poles":
+        return "another topic of poles was recorded first"
     if topic.kind is None:
         return "nothing here reads this type"
     if topic.kind in ("pose", "odometry", "twist", "ackermann") and _COMMAND.search(name):

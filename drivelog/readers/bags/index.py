@@ -7,7 +7,6 @@ the pictures.
 from __future__ import annotations
 
 from array import array
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -71,6 +70,7 @@ class Topic:
     _logs: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _places: array[int] = field(default_factory=lambda: array("q"))
+    _counts: array[int] = field(default_factory=lambda: array("q"))
 
     @property
     def name(self) -> str:
@@ -92,6 +92,11 @@ class Topic:
         """`(n, 4)` file, block, offset and size of every picture."""
         flat = np.frombuffer(self._places, dtype=np.int64) if self._places else _none(np.int64)
         return flat.reshape(-1, _PLACE)
+
+    @property
+    def counts(self) -> Integers:
+        """`(n,)` how many rows of `column` each message of several has."""
+        return np.frombuffer(self._counts, dtype=np.int64) if self._counts else _none(np.int64)
 
     def column(self, name: str) -> Floats:
         """`(n,)` one of `columns`."""
@@ -280,6 +285,8 @@ class _Builder:
         elif way.extract is not None:
             values = [float(value) for value in way.extract(content)]
             topic._values.extend(values)
+            if topic.kind == "poles":
+                topic._counts.append(len(values) // len(topic.columns))
 
 
 def same_camera(first: Any, other: Any) -> bool:
@@ -289,10 +296,3 @@ def same_camera(first: Any, other: Any) -> bool:
         if not np.array_equal(np.asarray(a), np.asarray(b)):
             return False
     return True
-
-
-def damage_counts(index: LogIndex) -> Counter[str]:
-    """Messages that could not be decoded, by topic."""
-    return Counter(
-        {name: topic.undecodable for name, topic in index.topics.items() if topic.undecodable}
-    )

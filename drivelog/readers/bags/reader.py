@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
@@ -20,21 +21,20 @@ from polemap.drivelog.readers.bags.camera import stereo_camera
 from polemap.drivelog.readers.bags.clocks import compare_clocks, seconds
 from polemap.drivelog.readers.bags.described import (
     HEAD,
-    POLES,
     attached_files,
     describe,
     own_mapping,
-    pole_scans,
     with_description,
 )
 from polemap.drivelog.readers.bags.files import is_log, open_containers
 from polemap.drivelog.readers.bags.frames import log_pictures, pair_pictures
-from polemap.drivelog.readers.bags.guess import Guess, guess, used_topics
+from polemap.drivelog.readers.bags.guess import Guess, guess, pole_topic, used_topics
 from polemap.drivelog.readers.bags.index import LogIndex, build_index
 from polemap.drivelog.readers.bags.signals import (
     Signals,
     gnss_stream,
     odometry_stream,
+    pole_scans,
     reference_stream,
 )
 from polemap.drivelog.readers.bags.vehicle_frame import vehicle_frame
@@ -74,8 +74,8 @@ class LogReader:
             return _Build(path, index, made).drive()
         known = describe(files, str(path))
         made = Guess(own_mapping(index.topics, known.drive))
-        scans = pole_scans(index.containers, known.view) if POLES in index.topics else ()
-        return with_description(_Build(path, index, made).drive(), known.drive, scans)
+        read = _Build(path, index, made, known.view).drive()
+        return with_description(read, known.drive)
 
 
 def survey(path: Path, topics: Path | None = None) -> tuple[LogIndex, Guess]:
@@ -108,8 +108,11 @@ def _indexed(files: tuple[Any, ...], _versions: Any, fields: tuple[Any, ...]) ->
 class _Build:
     """A drive from an index and a mapping."""
 
-    def __init__(self, path: Path, index: LogIndex, made: Guess) -> None:
-        self._path, self._index, self._made = path, index, made
+    def __init__(
+        self, path: Path, index: LogIndex, made: Guess, view: VisibleRegion | None = None
+    ) -> None:
+        """`view` is that of the detector of poles on a topic, where it is known."""
+        self._path, self._index, self._made, self._view = path, index, made, view
         self._mapping = made.mapping
         self._problems: Counter[str] = Counter()
         self._notes: list[str] = []
@@ -142,6 +145,7 @@ class _Build:
             odometry=odometry,
             gnss=gnss,
             reference=reference,
+            scans=self._scans(signals),
             notes=tuple(dict.fromkeys(self._notes)),
             problems={name: count for name, count in self._problems.items() if count},
             findings=tuple(self._findings),
@@ -150,6 +154,12 @@ class _Build:
 
     def _signals(self) -> Signals:
         return Signals(self._index, self._vehicle, self._clock, self._problems, self._notes)
+
+    def _scans(self, signals: Signals) -> tuple[Detections, ...]:
+        name = pole_topic(self._index)
+        if name is None or not self._index.topics[name].count:
+            return ()
+        return pole_scans(signals, self._index.topics[name], self._view)
 
     def _wheelbase(self) -> float:
         told = self._mapping.vehicle.wheelbase_m
@@ -204,9 +214,12 @@ class _Build:
         if part is None or (part.origin is not None and zone is not None):
             return zone or EarthFrame("local", name=self._path.stem)
         topic = self._index.topics[part.topic]
-        place = np.nanmedian([topic.column("x_m"), topic.column("y_m")], axis=1)
-        if zone is not None and fix is not None and np.hypot(*(place - fix)) < _SAME_GRID_M:
-            return zone
+        points = np.stack([topic.column("x_m"), topic.column("y_m")], axis=1)
+        points = points[np.isfinite(points).all(axis=1)]
+        if zone is not None and fix is not None and len(points):
+            apart = np.median(points, axis=0) - fix
+            if np.hypot(apart[0], apart[1]) < _SAME_GRID_M:
+                return zone
         return EarthFrame("local", name=topic.frame_id or self._path.stem)
 
     def _zone(self) -> tuple[EarthFrame | None, Floats | None]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
 from polemap.drivelog.readers.bags import mapping as m
@@ -15,7 +16,11 @@ from polemap.drivelog.readers.bags.clocks import LogClock, seconds, times_of
 from polemap.drivelog.readers.bags.index import LogIndex, Topic
 from polemap.drivelog.readers.bags.transforms import rotation_from_quaternion
 from polemap.drivelog.readers.bags.vehicle_frame import VehicleFrame
-from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.drivelog.streams import (
+    GnssStream,
+    OdometryStream,
+    ReferenceStream,
+)
 from polemap.vehicle.pose import rotate, wrap_angle
 
 Floats = NDArray[np.float64]
@@ -23,6 +28,8 @@ Integers = NDArray[np.int64]
 
 # a receiver's deviation an axis at a dilution of one: the localizer's `gnss.sd_m`
 SD_AT_DILUTION_ONE_M = 2.5
+# metres, metres a second and radians a second of any car stay far below
+_LARGEST = 1e9
 _UNKNOWN_FRAME = (
     "{topic}: '{frame}' is not tied to the car by TF: its poses are taken to be those of the rear "
     "axle"
@@ -58,7 +65,8 @@ class Signals:
         """
         times = times_of(topic, self.clock, name, self.problems, self.notes)
         stamp, arrival = times.stamp_ns, times.arrival_ns
-        finite = np.isfinite(values[:, : values.shape[1] - optional]).all(axis=1)
+        needed = values[:, : values.shape[1] - optional]
+        finite = np.isfinite(needed).all(axis=1) & (np.abs(needed) < _LARGEST).all(axis=1)
         if usable is None:
             usable = np.ones(len(values), dtype=bool)
         if lost := int(np.count_nonzero(usable & ~finite)):
@@ -207,7 +215,8 @@ def reference_stream(signals: Signals, part: m.ReferencePart) -> ReferenceStream
     topic = signals.index.topics[part.topic]
     names = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
     rows = np.stack([topic.column(name) for name in names], axis=1)
-    length = np.linalg.norm(rows[:, 3:], axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(rows[:, 3:], axis=1)
     whole = np.abs(length - 1.0) < 0.1
     if lost := int(np.count_nonzero(~whole & np.isfinite(length))):
         signals.problems["reference_without_orientation"] += lost
@@ -252,3 +261,34 @@ def _axle_poses(signals: Signals, topic: Topic, part: m.ReferencePart, values: F
     axle = values[:, :3] + np.einsum("nij,j->ni", turns, child_from_vehicle[:3, 3])
     turns = turns @ child_from_vehicle[:3, :3]
     return np.column_stack([axle[:, :2], np.arctan2(turns[:, 1, 0], turns[:, 0, 0])])
+
+
+def pole_scans(
+    signals: Signals, topic: Topic, view: VisibleRegion | None
+) -> tuple[Detections, ...]:
+    """Scans of poles that were detected elsewhere; poles without a covariance are counted."""
+    rows = np.stack([topic.column(name) for name in topic.columns], axis=1)
+    x_m, y_m, var_x, var_y, cov, width, probability = rows.T
+    usable = np.isfinite(rows[:, :5]).all(axis=1) & (var_x > 0) & (var_x * var_y > cov**2)
+    if lost := int(np.count_nonzero(~usable)):
+        signals.problems["poles_without_covariance"] += lost
+    first = np.concatenate([[0], np.cumsum(topic.counts)])
+    number = np.arange(len(topic.counts), dtype=np.float64)[:, None]
+    stamp, arrival, order = signals.in_order(topic, "scans", number)
+    covariance = np.stack([np.stack([var_x, cov], -1), np.stack([cov, var_y], -1)], axis=-2)
+    scans = []
+    for row, scan in enumerate(order[:, 0].astype(int)):
+        own = np.arange(first[scan], first[scan + 1])
+        own = own[usable[own]]
+        scans.append(
+            pole_detections(
+                float(seconds(stamp[row : row + 1])[0]),
+                float(seconds(arrival[row : row + 1])[0]),
+                np.stack([x_m[own], y_m[own]], axis=1),
+                covariance[own],
+                width_m=width[own],
+                probability=probability[own],
+                view=view,
+            )
+        )
+    return tuple(scans)

@@ -6,7 +6,7 @@ from typing import Literal
 
 Kind = Literal[
     "picture", "camera", "gnss", "imu", "odometry", "twist", "ackermann", "joints", "number",
-    "pose", "transforms",
+    "pose", "transforms", "poles",
 ]  # fmt: skip
 
 _KINDS: dict[str, Kind] = {
@@ -28,6 +28,7 @@ _KINDS: dict[str, Kind] = {
     "std_msgs/msg/Float64": "number",
     "tf2_msgs/msg/TFMessage": "transforms",
     "tf/msg/tfMessage": "transforms",
+    "polemap_msgs/msg/PoleScan": "poles",
     "foxglove/RawImage": "picture",
     "foxglove/CompressedImage": "picture",
     "foxglove/CameraCalibration": "camera",

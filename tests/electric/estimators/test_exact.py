@@ -17,8 +17,13 @@ from polemap.electric.estimators.base import (
 from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
 from polemap.electric.signals import play
 from polemap.electric.studies.outcomes import outcome
-from polemap.electric.studies.scenes import Scene, drive_with_camera, drive_with_gps
-from polemap.electric.studies.settings import MATCHED, PATTERN_S
+from polemap.electric.studies.scenes import (
+    MATCHED,
+    PATTERN_S,
+    Scene,
+    drive_with_camera,
+    drive_with_gps,
+)
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import load_car
 
@@ -189,7 +194,7 @@ def test_gps_layers_beat_what_they_should() -> None:
 
 
 def test_two_layer_outlives_a_lost_gps() -> None:
-    from polemap.electric.studies.settings import GPS_NOISE
+    from polemap.electric.studies.scenes import GPS_NOISE
 
     scene = Scene(29 / 3.6, 8.0, 0.06, 0.2, (0.1,), 0.2, model_noise=False)
     drive = drive_with_gps(COMS, scene, GPS_NOISE, np.random.default_rng(2))
@@ -207,7 +212,7 @@ def test_two_layer_outlives_a_lost_gps() -> None:
 
 def test_two_layer_starts_from_any_course_with_several_fixes_on_their_way() -> None:
     """The first course sets the heading; the captures already taken must follow it."""
-    from polemap.electric.studies.settings import GPS_NOISE
+    from polemap.electric.studies.scenes import GPS_NOISE
 
     config = GPS_NOISE.model_copy(update={"gps_slots": 3})
     scene = Scene(29 / 3.6, 3.0, 0.02, 0.2, (0.24,), 0.1, model_noise=False)

@@ -10,8 +10,7 @@ from polemap.electric.signals import play
 from polemap.electric.studies.convergence import frame_radii, update_jumps
 from polemap.electric.studies.outcomes import outcome
 from polemap.electric.studies.papers import STUDIES
-from polemap.electric.studies.scenes import Scene, drive_with_camera
-from polemap.electric.studies.settings import MISMATCH
+from polemap.electric.studies.scenes import MISMATCH, Scene, drive_with_camera
 from polemap.vehicle.io import load_car
 
 COMS, SPEED = load_car("coms"), 25 / 3.6

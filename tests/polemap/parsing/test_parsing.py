@@ -21,7 +21,7 @@ from polemap.parsing import csv_text, yaml_text
 from polemap.parsing.arrays import read_arrays
 from polemap.parsing.csv_text import check_csv, read_rows
 from polemap.parsing.errors import ParsingError, named
-from polemap.parsing.json_text import parse_json
+from polemap.parsing.json_text import parse_json, plain_values
 from polemap.parsing.pictures import check_size
 from polemap.parsing.text import read_bytes, read_text
 from polemap.parsing.yaml_text import parse_yaml, read_yaml
@@ -256,3 +256,8 @@ def test_a_key_that_stands_twice_is_no_yaml(text: str) -> None:
 def test_a_merged_key_may_be_overridden() -> None:
     text = "base: &b {a: 1, c: 2}\nmore: {<<: *b, a: 3}\n"
     assert parse_yaml(text)["more"] == {"a": 3, "c": 2}
+
+
+def test_values_for_json_are_plain_and_finite() -> None:
+    tree = {1: np.float32(0.5), "a": (np.int64(3), np.nan, [np.inf, np.bool_(True)]), "b": None}
+    assert plain_values(tree) == {"1": 0.5, "a": [3, None, [None, True]], "b": None}

@@ -11,8 +11,8 @@ from polemap.electric.control.body_slip import place_pi
 from polemap.simulate.closed_loop.choice import NONE, TRUTH
 from polemap.simulate.closed_loop.cornering import Corner, CornerSettings, yaw_moment_limit_nm
 from polemap.simulate.closed_loop.cornering_study import ICE, ICE_STEER_RAD, SPUN_RAD, Case
-from polemap.simulate.closed_loop.lane_change import LaneChange
 from polemap.simulate.closed_loop.lane_study import MARGIN_DB, SPEED_MPS, run_lane
+from polemap.simulate.closed_loop.lateral import LaneChange
 from polemap.simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
 from polemap.vehicle.io import load_car
 from polemap.vehicle.single_track import lateral
