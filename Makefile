@@ -6,7 +6,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp)
 
-.PHONY: setup demo test check lint bench campaign docs lock clean
+.PHONY: setup demo test check lint bench campaign docs site lock clean
 
 setup: .venv/.ready
 
@@ -42,6 +42,9 @@ campaign: setup
 docs: setup
 	$(BIN)/python -m docs.make_settings
 	$(BIN)/python -m docs.make_third_party
+
+site: setup
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
 
 lock:
 	$(BIN)/python -m pip install --quiet uv
