@@ -5,6 +5,7 @@ Images are spoilt as they are read, so that a faulty drive costs no copy.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -15,8 +16,8 @@ from pydantic import Field
 
 from polemap.drivelog.drive import Drive, FrameSource
 from polemap.drivelog.samples import Image
-from polemap.simulate import picture_faults
 from polemap.simulate.drive_fault import DriveFault, Share
+from polemap.simulate.picture_faults import blur, brighten, dirt, each, turning, warp
 
 Pair = tuple[Image, Image]
 PairFault = Callable[[Pair, int], Pair]
@@ -41,11 +42,19 @@ class SpoiltFrames:
         return SpoiltFrames(self.inner, self.rows[rows], self.hit[rows], self.fault)
 
 
-def _spoil(drive: Drive, hit: NDArray[np.bool_], fault: PairFault) -> Drive:
-    if drive.images is None:
-        return drive
-    rows = np.arange(len(drive.frame_stamps_s))
-    return replace(drive, images=SpoiltFrames(drive.images, rows, hit, fault))
+class PictureFault(DriveFault):
+    """A fault that spoils pictures as they are read."""
+
+    @abstractmethod
+    def spoiling(self, drive: Drive, rng: np.random.Generator) -> PairFault:
+        """What happens to the pair of a row."""
+
+    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+        if drive.images is None:
+            return drive
+        hit, rows = self.during(drive.frame_stamps_s), np.arange(len(drive.frame_stamps_s))
+        spoilt = SpoiltFrames(drive.images, rows, hit, self.spoiling(drive, rng))
+        return replace(drive, images=spoilt)
 
 
 class DroppedFrames(DriveFault):
@@ -82,46 +91,36 @@ class FrozenFrames(DriveFault):
         return replace(drive, images=drive.images.keep(rows))
 
 
-class SwappedCameras(DriveFault):
+class SwappedCameras(PictureFault):
     """Left is right and right is left."""
 
     kind: Literal["swapped_cameras"] = "swapped_cameras"
 
-    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
-        return _spoil(drive, self.during(drive.frame_stamps_s), lambda pair, _: (pair[1], pair[0]))
+    def spoiling(self, drive: Drive, rng: np.random.Generator) -> PairFault:
+        return lambda pair, _: (pair[1], pair[0])
 
 
-class OverExposed(DriveFault):
+class OverExposed(PictureFault):
     """Both pictures too bright by a factor; what is white stays white."""
 
     kind: Literal["over_exposed"] = "over_exposed"
     factor: Annotated[float, Field(gt=0)] = 4.0
 
-    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
-        factor = self.factor
-        return _spoil(
-            drive,
-            self.during(drive.frame_stamps_s),
-            lambda pair, _: picture_faults.each(pair, lambda i: picture_faults.brighten(i, factor)),
-        )
+    def spoiling(self, drive: Drive, rng: np.random.Generator) -> PairFault:
+        return lambda pair, _: each(pair, lambda image: brighten(image, self.factor))
 
 
-class BlurredFrames(DriveFault):
+class BlurredFrames(PictureFault):
     """Pictures out of focus."""
 
     kind: Literal["blurred_frames"] = "blurred_frames"
     sigma_px: Annotated[float, Field(gt=0)] = 3.0
 
-    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
-        sigma = self.sigma_px
-        return _spoil(
-            drive,
-            self.during(drive.frame_stamps_s),
-            lambda pair, _: picture_faults.each(pair, lambda i: picture_faults.blur(i, sigma)),
-        )
+    def spoiling(self, drive: Drive, rng: np.random.Generator) -> PairFault:
+        return lambda pair, _: each(pair, lambda image: blur(image, self.sigma_px))
 
 
-class DirtyLens(DriveFault):
+class DirtyLens(PictureFault):
     """Drops and dirt on one lens, at the same place in every picture."""
 
     kind: Literal["dirty_lens"] = "dirty_lens"
@@ -129,20 +128,18 @@ class DirtyLens(DriveFault):
     spots: int = Field(default=12, ge=1, le=500)
     radius_px: Annotated[float, Field(gt=0)] = 22.0
 
-    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
+    def spoiling(self, drive: Drive, rng: np.random.Generator) -> PairFault:
         seed = int(rng.integers(2**31))
         side = 0 if self.camera == "left" else 1
 
         def spoil(pair: Pair, _: int) -> Pair:
-            dirty = picture_faults.dirt(
-                pair[side], self.spots, self.radius_px, np.random.default_rng(seed)
-            )
+            dirty = dirt(pair[side], self.spots, self.radius_px, np.random.default_rng(seed))
             return (dirty, pair[1]) if side == 0 else (pair[0], dirty)
 
-        return _spoil(drive, self.during(drive.frame_stamps_s), spoil)
+        return spoil
 
 
-class Miscalibration(DriveFault):
+class Miscalibration(PictureFault):
     """The right camera has turned since it was calibrated; degrees about its own axes."""
 
     kind: Literal["miscalibration"] = "miscalibration"
@@ -150,13 +147,8 @@ class Miscalibration(DriveFault):
     yaw_deg: float = 0.0
     roll_deg: float = 0.0
 
-    def apply(self, drive: Drive, rng: np.random.Generator) -> Drive:
-        rig = drive.rig
-        if rig is None:
-            return drive
-        warp = picture_faults.turning(rig, self.pitch_deg, self.yaw_deg, self.roll_deg)
-        return _spoil(
-            drive,
-            self.during(drive.frame_stamps_s),
-            lambda pair, _: (pair[0], picture_faults.warp(pair[1], warp)),
-        )
+    def spoiling(self, drive: Drive, rng: np.random.Generator) -> PairFault:
+        if drive.rig is None:
+            return lambda pair, _: pair
+        turned = turning(drive.rig, self.pitch_deg, self.yaw_deg, self.roll_deg)
+        return lambda pair, _: (pair[0], warp(pair[1], turned))

@@ -28,50 +28,10 @@ def _worn_asphalt(rng: np.random.Generator) -> Texture:
     return 0.33 * grain
 
 
-def _cobble(rng: np.random.Generator) -> Texture:
-    return 0.34 * stones(12, 12, 5, rng, 0.18) * (1 + 0.12 * fractal(rng, 0.6))
-
-
-def _slabs(rng: np.random.Generator) -> Texture:
-    return (
-        0.42
-        * stones(6, 6, 3, rng, 0.07)
-        * (1 + 0.10 * fractal(rng, 0.5) + 0.08 * fractal(rng, 1.3))
-    )
-
-
-def _grass(rng: np.random.Generator) -> Texture:
-    return 0.27 * dead_leaves(rng, 9000, (2, 9), 0.38) * (1 + 0.15 * fractal(rng, 1.4))
-
-
-def _gravel(rng: np.random.Generator) -> Texture:
-    return 0.36 * dead_leaves(rng, 9000, (2, 12), 0.25) * (1 + 0.10 * fractal(rng, 1.2))
-
-
-def _leaves(rng: np.random.Generator) -> Texture:
-    return 0.26 * dead_leaves(rng, 5000, (4, 26), 0.75)
-
-
-def _foliage(rng: np.random.Generator) -> Texture:
-    return 0.20 * dead_leaves(rng, 6500, (3, 40), 0.8) * (1 + 0.3 * fractal(rng, 1.8))
-
-
-def _bark(rng: np.random.Generator) -> Texture:
-    return 0.20 * (1 + 0.30 * fractal(rng, 1.0, 0.2) + 0.16 * fractal(rng, 0.5))
-
-
 def _birch(rng: np.random.Generator) -> Texture:
     image = 0.62 * (1 + 0.08 * fractal(rng, 1.0))
     image[fractal(rng, 1.0, 4.0) > 1.35] *= 0.3
     return image
-
-
-def _plaster(rng: np.random.Generator) -> Texture:
-    return 0.62 * (1 + 0.035 * fractal(rng, 0.4) + 0.05 * fractal(rng, 1.6))
-
-
-def _brick(rng: np.random.Generator) -> Texture:
-    return 0.30 * stones(8, 24, 3, rng, 0.16) * (1 + 0.10 * fractal(rng, 0.8))
 
 
 def _planks(rng: np.random.Generator) -> Texture:
@@ -81,35 +41,8 @@ def _planks(rng: np.random.Generator) -> Texture:
     return np.asarray(image, dtype=np.float32)
 
 
-def _concrete(rng: np.random.Generator) -> Texture:
-    return 0.45 * (1 + 0.08 * fractal(rng, 0.7) + 0.09 * fractal(rng, 1.6))
-
-
-def _paint(rng: np.random.Generator) -> Texture:
-    return 0.50 * (1 + 0.02 * fractal(rng, 0.3) + 0.05 * fractal(rng, 1.8))
-
-
-def _enamel(rng: np.random.Generator) -> Texture:
-    """Car paint: hardly any texture of its own; it lives from what it mirrors."""
-    return 0.50 * (1 + 0.012 * fractal(rng, 0.3) + 0.03 * fractal(rng, 2.0))
-
-
-def _metal(rng: np.random.Generator) -> Texture:
-    return 0.40 * (1 + 0.05 * fractal(rng, 0.6) + 0.10 * fractal(rng, 1.4, 0.3))
-
-
 def _glass(rng: np.random.Generator) -> Texture:
     return 0.10 * (1 + 0.35 * fractal(rng, 2.2))
-
-
-def _marking(rng: np.random.Generator) -> Texture:
-    return np.where(fractal(rng, 0.9) > 1.3, 0.38, 0.80).astype(np.float32) * (
-        1 + 0.06 * fractal(rng, 0.3)
-    )
-
-
-def _roof(rng: np.random.Generator) -> Texture:
-    return 0.24 * stones(10, 14, 4, rng, 0.14) * (1 + 0.12 * fractal(rng, 1.0))
 
 
 def _sign(rng: np.random.Generator) -> Texture:
@@ -151,40 +84,47 @@ def _window(rng: np.random.Generator) -> Texture:
     return np.asarray(image, dtype=np.float32)
 
 
-def _cloth(rng: np.random.Generator) -> Texture:
-    return 0.30 * (1 + 0.12 * fractal(rng, 1.5, 0.4) + 0.04 * fractal(rng, 0.3))
-
-
-def _macro(rng: np.random.Generator) -> Texture:
-    """Stains, wear and patches that no two places share; multiplied over everything."""
-    return np.asarray(np.clip(0.5 * (1 + 0.12 * fractal(rng, 1.1)), 0.3, 0.75))
-
-
+# every material draws its tile from a generator
 MAKERS: dict[str, Callable[[np.random.Generator], Texture]] = {
-    "macro": _macro,
+    # stains, wear and patches that no two places share; multiplied over everything
+    "macro": lambda rng: np.asarray(np.clip(0.5 * (1 + 0.12 * fractal(rng, 1.1)), 0.3, 0.75)),
     "asphalt": _asphalt,
     "worn_asphalt": _worn_asphalt,
-    "cobble": _cobble,
-    "slabs": _slabs,
-    "grass": _grass,
-    "gravel": _gravel,
-    "leaves": _leaves,
-    "foliage": _foliage,
-    "bark": _bark,
+    "cobble": lambda rng: 0.34 * stones(12, 12, 5, rng, 0.18) * (1 + 0.12 * fractal(rng, 0.6)),
+    "slabs": lambda rng: (
+        0.42
+        * stones(6, 6, 3, rng, 0.07)
+        * (1 + 0.10 * fractal(rng, 0.5) + 0.08 * fractal(rng, 1.3))
+    ),
+    "grass": lambda rng: (
+        0.27 * dead_leaves(rng, 9000, (2, 9), 0.38) * (1 + 0.15 * fractal(rng, 1.4))
+    ),
+    "gravel": lambda rng: (
+        0.36 * dead_leaves(rng, 9000, (2, 12), 0.25) * (1 + 0.10 * fractal(rng, 1.2))
+    ),
+    "leaves": lambda rng: 0.26 * dead_leaves(rng, 5000, (4, 26), 0.75),
+    "foliage": lambda rng: (
+        0.20 * dead_leaves(rng, 6500, (3, 40), 0.8) * (1 + 0.3 * fractal(rng, 1.8))
+    ),
+    "bark": lambda rng: 0.20 * (1 + 0.30 * fractal(rng, 1.0, 0.2) + 0.16 * fractal(rng, 0.5)),
     "birch": _birch,
-    "plaster": _plaster,
-    "brick": _brick,
+    "plaster": lambda rng: 0.62 * (1 + 0.035 * fractal(rng, 0.4) + 0.05 * fractal(rng, 1.6)),
+    "brick": lambda rng: 0.30 * stones(8, 24, 3, rng, 0.16) * (1 + 0.10 * fractal(rng, 0.8)),
     "planks": _planks,
-    "concrete": _concrete,
-    "paint": _paint,
-    "enamel": _enamel,
-    "metal": _metal,
+    "concrete": lambda rng: 0.45 * (1 + 0.08 * fractal(rng, 0.7) + 0.09 * fractal(rng, 1.6)),
+    "paint": lambda rng: 0.50 * (1 + 0.02 * fractal(rng, 0.3) + 0.05 * fractal(rng, 1.8)),
+    # car paint: hardly any texture of its own; it lives from what it mirrors
+    "enamel": lambda rng: 0.50 * (1 + 0.012 * fractal(rng, 0.3) + 0.03 * fractal(rng, 2.0)),
+    "metal": lambda rng: 0.40 * (1 + 0.05 * fractal(rng, 0.6) + 0.10 * fractal(rng, 1.4, 0.3)),
     "glass": _glass,
-    "marking": _marking,
-    "roof": _roof,
+    "marking": lambda rng: (
+        np.where(fractal(rng, 0.9) > 1.3, 0.38, 0.80).astype(np.float32)
+        * (1 + 0.06 * fractal(rng, 0.3))
+    ),
+    "roof": lambda rng: 0.24 * stones(10, 14, 4, rng, 0.14) * (1 + 0.12 * fractal(rng, 1.0)),
     "sign": _sign,
     "poster": _poster,
     "window": _window,
-    "cloth": _cloth,
+    "cloth": lambda rng: 0.30 * (1 + 0.12 * fractal(rng, 1.5, 0.4) + 0.04 * fractal(rng, 0.3)),
 }
 TILES: dict[str, int] = {name: index for index, name in enumerate(MAKERS)}
