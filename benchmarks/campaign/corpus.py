@@ -14,11 +14,15 @@ import cv2
 import numpy as np
 import pandas as pd
 import yaml
+from rosbags.typesys import Stores
 
 from polemap.detect.models.io import read_classifier, write_classifier
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.images import read_grey
+from polemap.drivelog.readers.bags import reader as log_reader
+from polemap.drivelog.readers.bags.describe import describe_topics
+from polemap.drivelog.readers.bags.describe import write_mapping as write_topics
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.electric.io import read_mapping, read_signal_log
@@ -32,6 +36,7 @@ from polemap.simulate.scenario import load_scenario
 from polemap.stereo.io import read_kitti_calibration
 from polemap.tools.detection_cache import read_scans
 from polemap.vehicle.io import dump_car, load_car
+from tests.drivelog.bags import recordings
 from tests.drivelog.drives import write_small
 
 FRAME = EarthFrame("utm", 32632)
@@ -74,6 +79,7 @@ def make_corpus(folder: Path) -> list[Kind]:
     _maps(folder, add)
     _pictures(folder, add)
     _kitti(folder, open_drive(drive), add)
+    _recordings(folder, open_drive(drive), add)
     _runs(folder, add)
     _settings(folder, add)
     _logs(folder, add)
@@ -125,6 +131,40 @@ def _pictures(folder: Path, add: Add) -> None:
         path = folder / name
         path.write_bytes(cv2.imencode(path.suffix, picture)[1].tobytes())
         add(f"picture {name}", path, partial(read_grey, path))
+
+
+def _recordings(folder: Path, drive: Drive, add: Add) -> None:
+    """Every container with every encoding; damage of one is told or left out, never a crash."""
+    place = folder / "recordings"
+    place.mkdir()
+    ros, one = recordings.Ros(), recordings.Ros(Stores.ROS1_NOETIC)
+    said, said_one = (recordings.ros_messages(drive, made) for made in (ros, one))
+    foxglove = recordings.foxglove_messages(drive)
+    made = {
+        "bag": recordings.write_rosbag1(place / "a.bag", said_one, one),
+        "bag lz4": recordings.write_rosbag1(place / "b.bag", said_one, one, "LZ4"),
+        "mcap plain": recordings.write_mcap(place / "c.mcap", said, ros, "NONE"),
+        "mcap zstd": recordings.write_mcap(place / "d.mcap", said, ros, "ZSTD"),
+        "mcap protobuf": recordings.write_foxglove(place / "e.mcap", foxglove, "protobuf"),
+        "mcap json": recordings.write_foxglove(place / "f.mcap", foxglove, "json"),
+    }
+    for name, path in made.items():
+        add(f"recordings/{name}", path, partial(_open_recording, path))
+    two = recordings.write_rosbag2(place / "two", said, ros, "SQLITE3")
+    for file in (two / "two.db3", two / "metadata.yaml"):
+        add(f"recordings/{file.name}", file, partial(_open_recording, two))
+    topics = place / "topics.yaml"
+    _, guessed = log_reader.survey(made["mcap zstd"])
+    write_topics(guessed.mapping, made["mcap zstd"], topics)
+    add("recordings/topics.yaml", topics, partial(_open_recording, made["mcap zstd"], topics))
+
+
+def _open_recording(path: Path, topics: Path | None = None) -> None:
+    # files are written faster than their times tell
+    log_reader.forget()
+    index, guessed = log_reader.survey(path, topics)
+    describe_topics(index, guessed)
+    _use(open_drive(path, topics=topics))
 
 
 def _kitti(folder: Path, drive: Drive, add: Add) -> None:

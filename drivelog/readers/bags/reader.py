@@ -105,6 +105,11 @@ def _indexed(files: tuple[Any, ...], _versions: Any, fields: tuple[Any, ...]) ->
     return build_index(files, dict(fields))
 
 
+def forget() -> None:
+    """Drop what was kept of recordings, for files that change faster than their times tell."""
+    _indexed.cache_clear()
+
+
 class _Build:
     """A drive from an index and a mapping."""
 

@@ -205,7 +205,9 @@ def _ros_fixes(drive: Drive, ros: Ros) -> Iterator[Said]:
             yield Said(log, "/gnss/fix", "sensor_msgs/msg/NavSatFix", content)
         else:
             content = ros.make(
-                "geometry_msgs/msg/PoseStamped", ros.header(stamp, "map"), ros.pose(*place, 0.0)
+                "geometry_msgs/msg/PoseStamped",
+                ros.header(stamp, "map"),
+                ros.pose(float(place[0]), float(place[1]), 0.0),
             )
             yield Said(log, "/gnss/local", "geometry_msgs/msg/PoseStamped", content)
 
@@ -253,7 +255,7 @@ def write_mcap(
 ) -> Path:
     """A bare MCAP file of ROS 2 messages by `mcap`'s own writer."""
     with path.open("wb") as file:
-        writer = mcap.writer.Writer(
+        writer: Any = mcap.writer.Writer(
             file, compression=mcap.writer.CompressionType[compression], **options
         )
         writer.start(profile="ros2", library="test")
@@ -319,7 +321,8 @@ def foxglove_types() -> dict[str, Any]:
     pool = DescriptorPool()
     pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
     pool.Add(file)
-    return GetMessageClassesForFiles([file.name], pool)
+    found: dict[str, Any] = GetMessageClassesForFiles([file.name], pool)
+    return found
 
 
 def foxglove_messages(drive: Drive) -> list[Said]:
@@ -378,7 +381,7 @@ def write_foxglove(path: Path, said: Iterable[Said], encoding: str) -> Path:
     encode: Callable[[Said], bytes] = {"protobuf": lambda one: _protobuf(types, one),
                                        "json": _json}[encoding]  # fmt: skip
     with path.open("wb") as file:
-        writer = mcap.writer.Writer(file)
+        writer: Any = mcap.writer.Writer(file)
         writer.start()
         known: dict[str, int] = {}
         for number, one in enumerate(said):
