@@ -220,7 +220,9 @@ def _scattered(
                 "rectify the pictures with the calibration of this rig",
             )
         ]  # fmt: skip
-    other = _other_instant(drive, int(rows[matches.index(scattered[0])]), scattered[0])
+    # by identity: arrays of two matches cannot be compared
+    first = next(k for k, match in enumerate(matches) if match is scattered[0])
+    other = _other_instant(drive, int(rows[first]), scattered[0])
     text = f"; {other}" if other else ""
     return [
         Finding(

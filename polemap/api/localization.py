@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from polemap.api.plausible import check
 from polemap.api.poles import Perception
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
@@ -69,6 +70,7 @@ def replay(
     *,
     seed: int = 0,
     progress: Callable[[int], None] | None = None,
+    force: bool = False,
 ) -> replays.Run:
     """Localize a recorded drive in a map, as a car on the road would have done it.
 
@@ -78,6 +80,7 @@ def replay(
         settings: the defaults where not given.
         seed: of the particle filter; the same seed gives the same poses, bit for bit.
         progress: called with the number of frames looked at since the last call.
+        force: go on with inputs that cannot be right; what is doubtful is warned of either way.
 
     Returns:
         The run: `kf`, the 100 Hz output, and `pf`, the particle filter, as trajectories with
@@ -85,11 +88,13 @@ def replay(
 
     Raises:
         FrameError: map and drive are in different frames.
-        InputError: the drive lacks what localizing needs, or an image cannot be read.
+        InputError: the drive lacks what localizing needs, an image cannot be read, or drive and
+            map contradict themselves or each other.
     """
     chosen = settings or Settings()
     has_poles = drive.has_frames or bool(drive.scans)
     replays.check_inputs(drive, pole_map, has_poles=has_poles)
+    check(drive, pole_map, force=force)
     scans: Sequence[Detections] = ()
     if pole_map is not None:
         scans = scan_drive(drive, chosen.polemap, progress, stereo=chosen.stereo)

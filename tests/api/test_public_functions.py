@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import polemap
+from polemap.api import plausible
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
@@ -100,6 +101,42 @@ def test_a_map_from_poles_that_lie_beside_the_drive(street: tuple[Drive, PoleMap
         polemap.build_map([])
     with pytest.raises(InputError, match="neither images nor poles"):
         polemap.build_map(replace(drive, scans=()))
+
+
+def _in_kmh(drive: Drive) -> Drive:
+    return replace(
+        drive, odometry=replace(drive.odometry, speed_mps=3.6 * drive.odometry.speed_mps)
+    )
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_cannot_be_right_is_refused_unless_forced(street: tuple[Drive, PoleMap]) -> None:
+    drive, pole_map = _in_kmh(street[0]), street[1]
+    with pytest.raises(polemap.PolemapError, match=r"times that of .*m/s \(force=True goes on"):
+        polemap.replay(drive, pole_map, FEW)
+    with pytest.raises(polemap.PolemapError, match="force=True goes on"):
+        polemap.build_map(drive)
+    with pytest.warns(UserWarning, match="times that of") as warned:
+        polemap.replay(drive, pole_map, FEW, force=True)
+    assert warned[0].filename == __file__
+    assert all("\n" not in str(one.message) for one in warned)
+    polemap.replay(drive, pole_map, FEW, force=True, seed=1)  # said once
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_is_doubtful_is_warned_of_once(
+    street: tuple[Drive, PoleMap], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = street[0]
+    late = replace(drive.odometry, arrival_s=drive.odometry.stamp_s + 2.0)
+    doubtful = replace(drive, odometry=late)
+    looked: list[Drive] = []
+    find = plausible.find
+    monkeypatch.setattr(plausible, "find", lambda d, m: looked.append(d) or find(d, m))
+    with pytest.warns(UserWarning, match="rows arrive 2 s after their stamp"):
+        polemap.replay(doubtful, street[1], FEW)
+    polemap.replay(doubtful, street[1], FEW, seed=1)
+    assert len(looked) == 1
 
 
 def test_live_gives_poses(street: tuple[Drive, PoleMap]) -> None:

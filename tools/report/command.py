@@ -11,6 +11,7 @@ import typer
 
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.plausibility.check import check_drive
 from polemap.evaluation.alignment import ALIGNMENTS, Alignment
 from polemap.evaluation.exclusions import parse_interval
 from polemap.evaluation.io import open_routes
@@ -18,7 +19,8 @@ from polemap.evaluation.results import RouteResult
 from polemap.evaluation.route import evaluate_route, route_systems
 from polemap.evaluation.routes import Route
 from polemap.evaluation.runs.io import read_run_set
-from polemap.tools.option_types import SeedOption
+from polemap.tools.findings import require_plausible
+from polemap.tools.option_types import ForceOption, SeedOption
 from polemap.tools.progress import progress
 from polemap.tools.report.sweep_output import sweep_output
 from polemap.tools.report.sweep_spec import parse_sweep
@@ -71,6 +73,7 @@ def command(
         typer.Option("--cache", help="Of a sweep, as in localize; default: OUT/cache."),
     ] = None,
     latex: Annotated[bool, typer.Option("--latex", help="Write tables.tex too.")] = False,
+    force: ForceOption = False,
     seed: SeedOption = 0,
 ) -> None:
     """Report repeatability, accuracy, timing and events of runs, as a page and as JSON.
@@ -94,6 +97,7 @@ def command(
     swept = [parse_sweep(text) for text in sweep or []]
     routes = open_routes([read_run_set(path) for path in runs], added, alignment=alignment)
     check_folder(out, KIND, _made_from(routes), CARRIED)
+    _require_plausible(routes, force=force)
     unknown = {i.route for i in intervals if i.route} - {route.name for route in routes}
     if unknown:
         known = ", ".join(route.name for route in routes)
@@ -112,6 +116,22 @@ def command(
         write_report(results, folder, output, latex=latex, seed=seed)
     typer.echo(screen_table(results))
     typer.echo(f"wrote {out / 'report.html'} and {out / 'report.json'}")
+
+
+def _require_plausible(routes: Sequence[Route], *, force: bool) -> None:
+    """The drives whose references and laps the figures rest on; their pictures are done with.
+
+    Raises:
+        InputError: one of them cannot be right, and not `force`.
+    """
+    drives = {
+        str(one.drive.path): one.drive
+        for route in routes
+        for one in route.recordings
+        if one.drive is not None
+    }
+    for drive in drives.values():
+        require_plausible(drive.name, check_drive(drive), force=force)
 
 
 def _made_from(routes: Sequence[Route]) -> list[Path]:

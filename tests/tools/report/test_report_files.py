@@ -222,6 +222,23 @@ def test_without_drive_and_map_it_says_so(make_runs: Maker, tmp_path: Path) -> N
     assert any("cannot be read any more" in note for note in content["notes"])
 
 
+def test_a_drive_that_cannot_be_right_is_refused_unless_forced(
+    make_runs: Maker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_runs(tmp_path, runs=1, laps=3)
+    path = tmp_path / "synthetic_drive" / "reference.csv"
+    head, *rows = path.read_text().splitlines()
+    at = head.split(",").index("yaw_rad")
+    table = [row.split(",") for row in rows]
+    turned = [[*row[:at], str(3.1 + float(row[at])), *row[at + 1 :]] for row in table]
+    path.write_text("\n".join([head, *(",".join(row) for row in turned)]) + "\n")
+    out = tmp_path / "out"
+    assert "yaw" in refuse([str(run), "--out", str(out)], capsys)
+    assert not out.exists()
+    assert cli.run(["report", str(run), "--out", str(out), "--force"]) == cli.GOOD
+    assert "error: " in capsys.readouterr().err
+
+
 def refuse(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     assert cli.run(["report", *arguments]) == cli.USER_ERROR
     lines = capsys.readouterr().err.strip().splitlines()
