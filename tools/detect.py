@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -92,12 +93,47 @@ def command(
     )  # a name that is none is told before pictures are read
     require_plausible(opened.name, find(opened), force=force)
     with atomic_folder(out, KIND) as folder:
-        records = _detect_frames(opened, wanted, settings, folder, pictures, known)
+        records, counted = _detect_frames(opened, wanted, settings, folder, pictures, known)
     if known is not None:
         config_min = settings.polemap.detection
         scores = score_frames(records, known, _BANDS_M, lacking)
         tracks = score_tracks(records, known, _BANDS_M[0], lacking)
         _tell(scores, tracks, config_min.probability_min)
+    typer.echo("\n".join(counted.lines(drive, out, pictures)))
+
+
+@dataclass(slots=True)
+class _Counted:
+    """What was found in all frames."""
+
+    frames: int = 0
+    hypotheses: int = 0
+    poles: int = 0
+    tracks: set[int] = field(default_factory=set)
+    distances_m: list[float] = field(default_factory=list)
+
+    def add(self, perceived: PerceivedFrame, probability_min: float) -> None:
+        found = perceived.view.detections
+        sure = found.probability >= probability_min
+        self.frames += 1
+        self.hypotheses += len(found)
+        self.poles += int(np.count_nonzero(sure))
+        self.tracks |= set(perceived.tracks.ids[perceived.tracks.confirmed].tolist())
+        self.distances_m += np.hypot(*found.points_vehicle_m[sure].T).tolist()
+
+    def lines(self, drive: Path, out: Path, pictures: bool) -> list[str]:
+        """A summary, and what to do next."""
+        middle_m = np.median(self.distances_m) if self.poles else 0.0
+        where = f", half of them nearer than {middle_m:.0f} m" if self.poles else ""
+        frames = f"{self.frames} frame" + ("s" if self.frames != 1 else "")
+        return [
+            f"{frames}: {self.hypotheses} hypotheses, {self.poles} called poles "
+            f"({self.poles / max(self.frames, 1):.1f} a frame{where}); "
+            f"{len(self.tracks)} confirmed tracks",
+            f"wrote {out / 'detections.csv'}"
+            + (f" and {frames} as pictures" if pictures else "; --pictures shows what was seen"),
+            f"next: polemap map {drive} --out poles.gpkg",
+        ]
 
 
 def _range(text: str, count: int) -> range:
@@ -121,15 +157,16 @@ def _detect_frames(
     folder: Path,
     pictures: bool,
     known: PoleMap | None,
-) -> list[FrameRecord]:
+) -> tuple[list[FrameRecord], _Counted]:
     """Write the table and the pictures; the records are for scoring."""
+    counted = _Counted()
     stamps = drive.frame_stamps_s
     last = np.nextafter(stamps[wanted[-1]], np.inf)
     part = drive.between(float(stamps[wanted[0]]), float(last))
     records: list[FrameRecord] = []
     rig = drive.rig
     if rig is None:
-        return records
+        return records, counted
     perception = PolePerception(rig, settings.polemap, stereo=settings.stereo)
     with (
         (folder / "detections.csv").open("w", newline="", encoding="utf-8") as file,
@@ -140,6 +177,7 @@ def _detect_frames(
         for perceived in perceive_drive(part, perception):
             frame = perceived.frame
             table.writerows(_rows(perceived))
+            counted.add(perceived, settings.polemap.detection.probability_min)
             pose = drive.reference.at(np.array([frame.stamp_s]))[0] if drive.reference else None
             placed = pose is not None and bool(np.isfinite(pose).all())
             mapped = None
@@ -152,7 +190,7 @@ def _detect_frames(
                 sure = settings.polemap.detection.probability_min
                 write_overlay(name, perceived, sure, mapped)
             advance(1)
-    return records
+    return records, counted
 
 
 def _rows(perceived: PerceivedFrame) -> list[list[Any]]:

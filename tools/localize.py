@@ -165,7 +165,8 @@ def _table(metrics: dict[str, Any], map_notes: tuple[str, ...], out: Path) -> st
     )
     for kind, count in metrics.get("input_problems", {}).items():
         lines.append(f"left out: {_figure(count, 1, 0)} x {kind.replace('_', ' ')}")
-    return "\n".join([*lines, *verdict_lines(metrics["verdict"]), f"wrote {out}"])
+    ending = [f"wrote {out}", f"next: polemap report {out} --out report; polemap view {out}"]
+    return "\n".join([*lines, *verdict_lines(metrics["verdict"]), *ending])
 
 
 def _figure(value: Any, scale: float = 1.0, digits: int = 3) -> str:

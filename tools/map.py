@@ -289,4 +289,11 @@ def _say(built: BuiltMap, drives: list[Drive], out: Path) -> None:
         typer.echo(f"note: {report}")
     if len(built.removed):
         typer.echo(f"{len(built.removed)} poles of the old map are gone")
-    typer.echo(f"{out}: {len(built.pole_map)} poles in {built.pole_map.frame}")
+    made = built.pole_map
+    sd_m = np.sqrt(np.linalg.eigvalsh(made.covariance_m2)[:, -1])
+    typer.echo(f"{out}: {len(made)} poles in {made.frame}")
+    typer.echo(
+        f"known to {np.median(sd_m):.2f} m (median of the larger axis), existence "
+        f"{np.mean(made.existence):.2f} on average, seen {np.median(made.observations):.0f} times"
+    )
+    typer.echo(f"next: polemap localize DRIVE --map {out} --out runs/DRIVE")

@@ -74,7 +74,9 @@ def test_table_pictures_and_scores(
     assert sorted(p.name for p in out.glob("*.png")) == [f"{i:06d}.png" for i in range(4)]
     picture = cv2.imread(str(out / "000003.png"))
     assert picture.shape[0] == 2 * RIG.height_px
-    assert "tracks" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "confirmed tracks" in said
+    assert "next: polemap map" in said
 
 
 @pytest.mark.parametrize(

@@ -55,9 +55,12 @@ def test_a_run_of_many_is_the_run_of_its_seed(
     assert config["settings"]["localize"]["particles"] == 150
 
 
-def test_without_poles(street: tuple[Path, Path], tmp_path: Path) -> None:
+def test_without_poles(
+    street: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     drive, _ = street
     assert localize(drive, "--without-poles", "--out", tmp_path / "run") == cli.GOOD
+    assert f"next: polemap report {tmp_path / 'run'}" in capsys.readouterr().out
     assert (tmp_path / "run" / "pf.tum").read_text() == ""
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert "pf" not in metrics

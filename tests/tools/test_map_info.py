@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from pathlib import Path
 from xml.etree import ElementTree
@@ -42,7 +44,10 @@ def place(tmp_path_factory: pytest.TempPathFactory, town: Town) -> Path:
     folder = tmp_path_factory.mktemp("cli")
     write_drive(folder / "monday", town, 1)
     write_drive(folder / "friday", town, 2)
-    assert run(["map", str(folder / "monday"), "--out", str(folder / "a.gpkg")]) == 0
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert run(["map", str(folder / "monday"), "--out", str(folder / "a.gpkg")]) == 0
+    assert f"next: polemap localize DRIVE --map {folder / 'a.gpkg'}" in said.getvalue()
     return folder
 
 

@@ -31,41 +31,55 @@ Floats = NDArray[np.float64]
 
 CHI2_99 = 11.345
 LEAST_SHOWN = 1e-3
+# recordings that a legend has room to name
+_NAMED = 10
 
 
 def errors_over_time(result: RouteResult, key: str) -> Picture | None:
-    """Errors of the first run over time, with the filter's own 3-sigma band."""
+    """Errors of the first run over time; of one recording with the filter's own 3-sigma band."""
     kf, pf = result.of_kind("kf"), result.of_kind("pf")
-    if kf is None or pf is None or not kf.errors or len(kf.errors[0].stamp_s) == 0:
+    if kf is None or pf is None or not any(len(one.stamp_s) for one in kf.errors):
         return None
-    band = _output_sds(result, kf)
-    begin = float(kf.errors[0].stamp_s[0])
+    several = len(kf.errors) > 1
+    band = None if several else _output_sds(result, kf)
+    names = [recording.name for recording in result.route.recordings]
     with drawing(8.0, 4.6) as figure:
         all_axes = figure.subplots(3, 1, sharex=True)
         panels = (("lateral_m", "lateral [m]", 1.0), ("longitudinal_m", "longitudinal [m]", 1.0),
                   ("yaw_rad", "yaw [°]", float(np.degrees(1.0))))  # fmt: skip
         for row, (axes, (kind, label, scale)) in enumerate(zip(all_axes, panels, strict=True)):
             if band is not None:
+                begin = float(kf.errors[0].stamp_s[0])
                 time, width = thin(band[0] - begin, 3.0 * scale * band[1][:, row])
                 axes.fill_between(time, -width, width, color=SHADE, lw=0, label="3σ of the kf")
-            for one in (pf, kf):
-                errors = one.errors[0]
-                time, values = thin(errors.stamp_s - begin, scale * getattr(errors, kind))
-                axes.plot(
-                    time, values, color=COLOURS[one.system.kind], lw=0.8, label=one.system.name
-                )
-            limit = _robust_limit([scale * getattr(one.errors[0], kind) for one in (pf, kf)])
+            for number, (ours, theirs) in enumerate(zip(kf.errors, pf.errors, strict=True)):
+                if not len(ours.stamp_s):
+                    continue
+                colour = LAPS[number % len(LAPS)]
+                begin = float(ours.stamp_s[0])
+                for one, errors, width_pt in ((pf, theirs, 0.5), (kf, ours, 0.9)):
+                    time, values = thin(errors.stamp_s - begin, scale * getattr(errors, kind))
+                    if several:
+                        name = names[number] if one is kf and len(names) <= _NAMED else None
+                        style = {"color": colour, "alpha": 1.0 if one is kf else 0.4}
+                    else:
+                        name, style = one.system.name, {"color": COLOURS[one.system.kind]}
+                    axes.plot(time, values, lw=width_pt, label=name, **style)
+            limit = _robust_limit(
+                [scale * getattr(one, kind) for one in (*pf.errors, *kf.errors) if len(one.stamp_s)]
+            )
             axes.set_ylim(-limit, limit)
             tidy(axes, "", label)
         legend_above(all_axes[0])
         all_axes[-1].set_xlabel("time [s]")
-        return finish(
-            figure,
-            key,
-            f"Errors against the {result.against}",
-            "First run, first recording. Band: three standard deviations that the output filter "
-            "states, in the direction of the error.",
+        told = (
+            f"First run of each of the {len(kf.errors)} recordings from its own start: output "
+            "filter, and particle filter pale."
+            if several
+            else "First run. Band: three standard deviations that the output filter states, in "
+            "the direction of the error."
         )
+        return finish(figure, key, f"Errors against the {result.against}", told)
 
 
 def _output_sds(result: RouteResult, kf: SystemResult) -> tuple[Floats, Floats] | None:
@@ -97,6 +111,7 @@ def consistency(result: RouteResult, key: str) -> Picture | None:
             axes.plot(time, shown, ".", ms=2.5, color=COLOURS["pf"], mew=0)
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
             for level, style in ((3.0, "-"), (CHI2_99, "--")):
                 axes.axhline(level, color=INK, lw=0.8, ls=style)
             above = 100.0 * float(np.mean(values > CHI2_99))

@@ -10,8 +10,10 @@ from importlib.resources import files
 from jinja2 import Environment, StrictUndefined
 
 from polemap.tools.report.interactive_map import InteractiveMap
+from polemap.tools.report.photos import Photo
 from polemap.tools.report.style import Picture, theme_css
-from polemap.tools.report.tables import Table
+from polemap.tools.report.summary import RouteSummary
+from polemap.tools.report.tables import Table, csv_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,7 @@ class Section:
     map: InteractiveMap | None
     pictures: tuple[Picture, ...]
     configs: tuple[SettingsText, ...]
+    photos: tuple[Photo, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,7 @@ class Page:
     pictures: tuple[Picture, ...]
     sections: tuple[Section, ...]
     notes: tuple[str, ...]
+    summaries: tuple[RouteSummary, ...] = ()
 
 
 def render_page(page: Page) -> str:
@@ -61,6 +65,7 @@ def render_page(page: Page) -> str:
     script = (templates / "page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters["csv_address"] = _csv_address
     template = environment.from_string((templates / "report.html.j2").read_text(encoding="utf-8"))
     return template.render(
         css=css.replace("@LIGHT@", light).replace("@DARK@", dark),
@@ -68,3 +73,8 @@ def render_page(page: Page) -> str:
         script_hash=f"sha256-{digest}",
         **{name: getattr(page, name) for name in Page.__dataclass_fields__},
     )
+
+
+def _csv_address(table: Table) -> str:
+    """The table as a file to be saved from the page, which needs no other file."""
+    return "data:text/csv;base64," + base64.b64encode(csv_text(table).encode()).decode("ascii")

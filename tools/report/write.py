@@ -21,8 +21,10 @@ from polemap.tools.report.document import document, document_text
 from polemap.tools.report.figures import route_pictures
 from polemap.tools.report.interactive_map import interactive_map
 from polemap.tools.report.page import Page, Section, SettingsText, render_page
+from polemap.tools.report.photos import route_photos
 from polemap.tools.report.route_tables import all_tables, repeatability_table
 from polemap.tools.report.style import Picture
+from polemap.tools.report.summary import summarise
 from polemap.tools.report.tables import Table, csv_text, latex_text
 from polemap.vehicle.trajectory import Trajectory
 
@@ -57,9 +59,14 @@ def write_report(
     pictures = {
         slug: route_pictures(result, slug) for slug, result in zip(slugs, results, strict=True)
     }
+    photos = {slug: route_photos(result, slug) for slug, result in zip(slugs, results, strict=True)}
     head = {"polemap": __version__, "made": made, "machine": machine, "seed": seed}
     content = document(results, head, differences, sweeps.values, tables)
     content["notes"] += list(sweeps.notes)
+    summaries = summarise(results)
+    content["verdicts"] = {
+        one.name: {"trust": one.trust or None, "sentence": one.verdict} for one in summaries
+    }
     sections = [
         Section(
             f"route-{slug}",
@@ -68,11 +75,12 @@ def write_report(
             # The page has a zoomable map instead of the still one.
             tuple(p for p in pictures[slug] if not p.key.endswith("map-picture")),
             tuple(_settings(result)),
+            photos[slug],
         )
         for slug, result in zip(slugs, results, strict=True)
     ]
     page = Page(
-        title="Repeatability and accuracy",
+        title="Localization report",
         version=__version__,
         made=made,
         machine=machine,
@@ -81,11 +89,14 @@ def write_report(
         pictures=sweeps.pictures,
         sections=tuple(sections),
         notes=tuple(content["notes"]),
+        summaries=summaries,
     )
     _write_tables(out, tables, latex)
     for picture in [p for group in pictures.values() for p in group] + list(sweeps.pictures):
         _write_text(out / "pictures" / f"{picture.key}.svg", picture.svg)
         _write_bytes(out / "pictures" / f"{picture.key}.png", picture.png)
+    for photo in [one for group in photos.values() for one in group]:
+        _write_bytes(out / "pictures" / f"{photo.key}.jpg", photo.jpeg)
     for slug, result in zip(slugs, results, strict=True):
         _write_references(out / "trajectories", slug, result)
     _write_text(out / "report.json", document_text(content))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -148,11 +149,28 @@ def test_the_page_stands_alone(report: Path) -> None:
     page.feed(text)
     assert len(page.scripts) == 1
     assert page.handlers == []
-    assert all(a.startswith("#") or a == "data:," for a in page.addresses)
+    assert all(a.startswith(("#", "data:text/csv", "data:image/jpeg")) or a == "data:,"
+               for a in page.addresses)  # fmt: skip
     assert "@import" not in text
     assert not re.search(r"url\((?!#)", text)
     identifiers = re.findall(r'\bid="([^"]+)"', text)
     assert len(identifiers) == len(set(identifiers))
+
+
+def test_the_page_opens_with_the_verdict_and_its_tables_can_be_saved(report: Path) -> None:
+    text = (report / "report.html").read_text()
+    assert text.index('class="verdict') < text.index('id="repeatability"')
+    assert "driver&#39;s wander" in text[: text.index('id="repeatability"')]
+    for term in ("pf, particle filter", "kf, output filter", "real-time factor", "NIS, NEES"):
+        assert f"<dt>{term}</dt>" in text
+    for table in (report / "tables").glob("*.csv"):
+        address = base64.b64encode(table.read_bytes()).decode()
+        assert f'download="{table.name}" href="data:text/csv;base64,{address}"' in text
+    # on a phone every cell stands under its column's name
+    cells, labels = text.count("<td "), text.count("<td data-label=")
+    assert cells == labels > 0
+    content = json.loads((report / "report.json").read_text())
+    assert set(content["verdicts"]) == set(content["routes"])
 
 
 def test_text_from_drives_cannot_inject(make_runs: Maker, tmp_path: Path) -> None:

@@ -45,23 +45,43 @@
       event.preventDefault();
       zoom(Math.exp(event.deltaY * 0.0015), point(event));
     }, { passive: false });
-    var drag = null;
+    svg.addEventListener("dblclick", function (event) {
+      event.preventDefault();
+      zoom(event.shiftKey ? 2 : 0.5, point(event));
+    });
+    /* one finger or the mouse moves, two fingers also zoom about the middle between them */
+    var held = {}, count = 0;
+    function middleOf() {
+      var sum = [0, 0], far = 0, all = Object.values(held);
+      all.forEach(function (p) { sum[0] += p[0] / count; sum[1] += p[1] / count; });
+      if (count === 2) far = Math.hypot(all[0][0] - all[1][0], all[0][1] - all[1][1]);
+      return [sum[0], sum[1], far];
+    }
     svg.addEventListener("pointerdown", function (event) {
       svg.focus({ preventScroll: true });
-      drag = [event.clientX, event.clientY];
+      if (count === 2) return;
+      held[event.pointerId] = [event.clientX, event.clientY];
+      count = Object.keys(held).length;
       svg.setPointerCapture(event.pointerId);
     });
     svg.addEventListener("pointermove", function (event) {
       var p = point(event);
       place.textContent = "east " + (east + p[0]).toFixed(2) + " m, north " + (north - p[1]).toFixed(2) + " m";
-      if (!drag) return;
-      var m = metresPerPixel();
-      view[0] -= (event.clientX - drag[0]) * m;
-      view[1] -= (event.clientY - drag[1]) * m;
-      drag = [event.clientX, event.clientY];
-      show();
+      if (!held[event.pointerId]) return;
+      var before = middleOf();
+      held[event.pointerId] = [event.clientX, event.clientY];
+      var now = middleOf(), m = metresPerPixel();
+      view[0] -= (now[0] - before[0]) * m;
+      view[1] -= (now[1] - before[1]) * m;
+      if (count === 2 && now[2] > 0) zoom(before[2] / now[2], point({ clientX: now[0], clientY: now[1] }));
+      else show();
     });
-    svg.addEventListener("pointerup", function () { drag = null; });
+    ["pointerup", "pointercancel"].forEach(function (name) {
+      svg.addEventListener(name, function (event) {
+        delete held[event.pointerId];
+        count = Object.keys(held).length;
+      });
+    });
     svg.addEventListener("keydown", function (event) {
       var step = view[2] / 8, known = true;
       if (event.key === "+" || event.key === "=") zoom(0.7, middle());
