@@ -201,7 +201,7 @@ def test_lidar_maps_in_a_local_frame(recording: Callable[[str], Path]) -> None:
     pole_map = read_map(path, EarthFrame("local", name="kitti_odometry_03"))
     assert len(pole_map) == 163
     np.testing.assert_allclose(pole_map.points_m[0], [6.8775, -5.4197])
-    with pytest.raises(InputError, match="column 'east_m' is missing"):
+    with pytest.raises(InputError, match="columns 'east_m', 'north_m' are missing"):
         read_map(path, UTM)
 
 
