@@ -18,7 +18,7 @@ from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import OutputError
 from polemap.parsing.json_text import plain_values
 from polemap.settings import load_settings
-from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
+from polemap.tools.option_types import ConfigOption, SeedOption, SetOption, TopicsOption
 from polemap.tools.progress import progress
 
 PICTURES = "calibration pictures"
@@ -39,6 +39,7 @@ def command(
         int, typer.Option("--frames", min=30, help="Frames whose motion is followed.")
     ] = 240,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")] = False,
+    topics: TopicsOption = None,
     seed: SeedOption = 0,
     config: ConfigOption = None,
     set_values: SetOption = None,
@@ -57,9 +58,9 @@ def command(
     if out is not None and out.suffix.lower() not in (".yaml", ".yml"):
         raise OutputError(f"{out}: what was found is written as .yaml")
     if pictures is not None:
-        check_folder(pictures, PICTURES, (drive, config))
+        check_folder(pictures, PICTURES, (drive, config, topics))
     settings = load_settings(config, set_values)
-    opened = open_drive(drive, seed=seed)
+    opened = open_drive(drive, seed=seed, topics=topics)
     total = 2 * pairs + min(frames, len(opened.frame_stamps_s))
     with progress(total, "calibrating") as advance:
         found = calibrate(

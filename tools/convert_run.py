@@ -15,7 +15,7 @@ from polemap.vehicle.trajectory import Trajectory
 def to_trajectory(request: Request) -> list[str]:
     """The poses of a run in the format of the ending."""
     check_file(request.out, (*request.inputs, request.map_file, request.drive, request.topics))
-    opened = open_run(request.input, request.run, request.map_file, request.drive)
+    opened = open_run(request.input, request.run, request.map_file, request.drive, request.topics)
     check_trajectory_file(request.out, opened.frame)
     which = request.trajectory or "kf"
     if which not in ("kf", "pf"):

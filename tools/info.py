@@ -65,7 +65,9 @@ def command(
             raise typer.Exit(2)
         return
     if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
-        frame = open_drive(frame_of, seed=seed).frame if frame_of is not None else None
+        frame = (
+            open_drive(frame_of, seed=seed, topics=topics).frame if frame_of is not None else None
+        )
         pole_map = read_map(path, frame, allow_empty=True)
         lines = describe_map(pole_map, path) + describe_findings(check_map(pole_map))
     else:
@@ -95,7 +97,9 @@ def _describe_log(path: Path, topics: Path | None, write_to: Path | None) -> Non
 def _findings(path: Path, frame_of: Path | None, topics: Path | None, seed: int) -> list[Finding]:
     """What is found in a drive or a map; one that cannot be read is a finding of its own."""
     try:
-        drive = open_drive(frame_of, seed=seed) if frame_of is not None else None
+        drive = None
+        if frame_of is not None:
+            drive = open_drive(frame_of, seed=seed, topics=topics)
         if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
             pole_map = read_map(path, drive.frame if drive else None, allow_empty=True)
             found = check_map(pole_map)

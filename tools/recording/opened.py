@@ -48,6 +48,7 @@ class OpenedRun:
     notes: tuple[str, ...]
     config: Mapping[str, Any]
     lap: str | None
+    topics: Path | None = None
 
     def trajectory(self, which: str) -> tuple[Trajectory, Columns]:
         """`kf`, the 100 Hz output, or `pf`, the particle filter, and what is known of each pose."""
@@ -79,7 +80,8 @@ def open_run(
         raise ConfigError(f"{path}: has runs 0 to {len(runs.runs) - 1}; there is no run {number}")
     opened = None
     if drive is not None:
-        opened = open_drive(drive, topics=topics or runs.topics)
+        topics = topics or _topics_of(runs, drive)
+        opened = open_drive(drive, topics=topics)
         opened = opened if runs.lap is None else opened.lap(runs.lap)
     frame = opened.frame if opened is not None else _frame_of(runs)
     pole_map, notes = _map_of(runs, map_file, frame)
@@ -91,7 +93,14 @@ def open_run(
         )
     name = runs.name if len(runs.runs) == 1 else f"{runs.name}/{number:03d}"
     chosen = runs.runs[number]
-    return OpenedRun(name, chosen, frame, pole_map, opened, notes, runs.config, runs.lap)
+    return OpenedRun(name, chosen, frame, pole_map, opened, notes, runs.config, runs.lap, topics)
+
+
+def _topics_of(runs: RunSet, drive: Path) -> Path | None:
+    """The run's mapping of topics, for the drive that it names and not for a copy in a folder."""
+    if runs.drive is None or runs.drive.resolve() != drive.resolve():
+        return None
+    return runs.topics
 
 
 def _frame_of(runs: RunSet) -> EarthFrame | None:

@@ -47,7 +47,8 @@ def record_run(
         settings, more = _settings(opened)
         frames = len(opened.drive.frame_stamps_s) or len(opened.drive.scans)
         with progress(frames, "poles in the pictures") as advance:
-            source = Source(str(drive), opened.lap)
+            topics = None if opened.topics is None else str(opened.topics)
+            source = Source(str(drive), opened.lap, topics)
             scene = scene_of(opened, settings, source, cpu_count() or 1, cache, advance)
         notes += more
     with progress(scene.picture_count, "writing pictures") as advance:
