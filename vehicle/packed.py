@@ -28,7 +28,7 @@ _ROWS, _COLUMNS = np.triu_indices(SIZE)
 _NUMBER = np.zeros((SIZE, SIZE), dtype=np.int64)
 _NUMBER[_ROWS, _COLUMNS] = _NUMBER[_COLUMNS, _ROWS] = np.arange(len(_ROWS))
 INDEX: tuple[tuple[int, ...], ...] = tuple(map(tuple, _NUMBER.tolist()))
-_PAIRS = tuple((int(i), int(j)) for i, j in zip(_ROWS, _COLUMNS, strict=True))
+_PAIRS = tuple(zip(_ROWS.tolist(), _COLUMNS.tolist(), strict=True))
 
 
 class GaussMarkov(NamedTuple):

@@ -2,14 +2,12 @@
 
 Every input is a valid file with a few changes. A reader may return or raise a `PolemapError`;
 anything else is a finding, as are a hang (over ten seconds), a crash of the process, and memory
-beyond two gigabytes. Inputs are tried in a child process, so that a crash costs one input. With
-`--atheris KIND` the coverage of the reader guides the changes instead (needs the package atheris).
+beyond two gigabytes. Inputs are tried in a child process, so that a crash costs one input.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import random
 import re
@@ -22,12 +20,12 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from benchmarks.campaign.corpus import Kind, make_corpus
+from benchmarks.harness import write_results
 from polemap.errors import PolemapError
 
 HANG_S = 10
@@ -208,31 +206,7 @@ def _write(
             for (name, _), (wrong, count, data) in sorted(findings.items())
         ],
     }
-    part = out.with_suffix(".part")
-    part.write_text(json.dumps(document, indent=1))
-    part.replace(out)
-
-
-def guided(name: str, seconds: int) -> None:
-    """Let atheris drive one reader; it ends the process with a traceback at the first finding."""
-    atheris: Any = import_module("atheris")
-    atheris.instrument_all()
-    place = Path(tempfile.mkdtemp(prefix="fuzz-"))
-    _limited()
-    kind = next(kind for kind in make_corpus(place) if name in kind.name)
-    seeds = place / "seeds"
-    seeds.mkdir()
-    (seeds / "valid").write_bytes(kind.seed)
-
-    def one_input(data: bytes) -> None:
-        wrong = attempt(kind, data)
-        if wrong is not None:
-            raise RuntimeError(f"{kind.name}: {wrong}")
-
-    atheris.Setup(
-        [sys.argv[0], str(seeds), f"-max_total_time={seconds}", "-rss_limit_mb=6000"], one_input
-    )
-    atheris.Fuzz()
+    write_results(out, document)
 
 
 def main() -> int:
@@ -242,11 +216,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("readers.json"))
     parser.add_argument("--only", help="kinds whose name holds this")
-    parser.add_argument("--atheris", metavar="KIND", help="guide by coverage instead")
     chosen = parser.parse_args()
-    if chosen.atheris:
-        guided(chosen.atheris, int(chosen.seconds))
-        return 0
     return 1 if campaign(chosen.seconds, chosen.seed, chosen.out, chosen.only) else 0
 
 

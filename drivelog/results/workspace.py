@@ -8,11 +8,9 @@ lock can be had was left behind by a process that was killed, on whatever machin
 from __future__ import annotations
 
 import contextlib
-import errno
 import hashlib
 import os
 import shutil
-import stat
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -21,18 +19,11 @@ from pathlib import Path
 
 from polemap.drivelog.errors import OutputError
 from polemap.drivelog.results.exchange import REPLACED, finish_exchange
+from polemap.drivelog.results.lock import CAN_LOCK, LOCK, SIGNATURE, is_ours, still_there, try_lock
 from polemap.drivelog.results.marker import remove_listed
 
-try:
-    import fcntl
-except ImportError:  # no such locks on this system: nothing is swept there, only written
-    fcntl = None  # type: ignore[assignment]
-
 ENDING = ".part"
-_LOCK = "lock"
-_SIGNATURE = b"a workspace of polemap\n"
 _LONGEST_NAME = 200
-_BUSY = (errno.EWOULDBLOCK, errno.EACCES, errno.EAGAIN)
 
 # workspaces that this process holds, by the target that they are for
 _held: dict[Path, Path] = {}
@@ -109,7 +100,7 @@ def scratch_folder() -> Iterator[Path]:
 
 def sweep(parent: Path) -> None:
     """Remove the workspaces in a folder whose processes are dead, finishing what they began."""
-    if fcntl is None:
+    if not CAN_LOCK:
         return
     try:
         names = [
@@ -122,10 +113,10 @@ def sweep(parent: Path) -> None:
     for name in names:
         place = parent / name
         try:
-            lock = os.open(place / _LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+            lock = os.open(place / LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
         except OSError:
             continue
-        if _is_ours(place, lock) and _try_lock(lock) and _still_there(place, lock):
+        if is_ours(place, lock) and try_lock(lock) and still_there(place, lock):
             _give_back(place, lock)
         else:
             os.close(lock)
@@ -211,7 +202,7 @@ def _take(place: Path, target: Path) -> int:
         try:
             place.mkdir(mode=0o700)
         except FileExistsError:
-            if place.is_symlink() or (not (place / _LOCK).exists() and any(place.iterdir())):
+            if place.is_symlink() or (not (place / LOCK).exists() and any(place.iterdir())):
                 raise OutputError(
                     f"{place}: is in the way of writing {target.name}; move it away"
                 ) from None
@@ -230,57 +221,27 @@ def _lock_in(place: Path, target: Path) -> int | None:
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
-        lock = os.open(place / _LOCK, flags, 0o600)
+        lock = os.open(place / LOCK, flags, 0o600)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror})") from error
     try:
-        if not _try_lock(lock):
+        if not try_lock(lock):
             raise OutputError(
                 f"{target}: another polemap is writing it now; wait for that, or choose another "
                 "place"
             )
-        if not _still_there(place, lock):
+        if not still_there(place, lock):
             os.close(lock)
             return None
         if os.fstat(lock).st_size == 0:
-            os.write(lock, _SIGNATURE)
+            os.write(lock, SIGNATURE)
         _clear(place)
     except BaseException:
         os.close(lock)
         raise
     return lock
-
-
-def _try_lock(lock: int) -> bool:
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        # a file system without locks lets everybody in
-        return error.errno not in _BUSY and error.errno != errno.EINTR
-    return True
-
-
-def _still_there(place: Path, lock: int) -> bool:
-    try:
-        there = (place / _LOCK).stat()
-    except OSError:
-        return False
-    own = os.fstat(lock)
-    return (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino)
-
-
-def _is_ours(place: Path, lock: int) -> bool:
-    state = os.fstat(lock)
-    if not stat.S_ISREG(state.st_mode) or state.st_size > len(_SIGNATURE):
-        return False
-    if state.st_size == 0:
-        # a process that was killed before its first write left an empty lock and nothing else
-        return [entry.name for entry in os.scandir(place)] == [_LOCK]
-    return os.pread(lock, len(_SIGNATURE), 0) == _SIGNATURE
 
 
 def _clear(place: Path) -> None:
@@ -289,7 +250,7 @@ def _clear(place: Path) -> None:
     empty(place, parent)
     for entry in list(os.scandir(place)):
         path = Path(entry.path)
-        if entry.name == _LOCK:
+        if entry.name == LOCK:
             continue
         if entry.is_dir(follow_symlinks=False):
             empty(path, parent)
@@ -304,7 +265,7 @@ def _give_back(place: Path, lock: int) -> None:
     try:
         with contextlib.suppress(OSError):
             _clear(place)
-            (place / _LOCK).unlink()
+            (place / LOCK).unlink()
             place.rmdir()
     finally:
         os.close(lock)
