@@ -185,7 +185,8 @@ def _odometry(
         missing.append("odometry: neither a reference nor the camera's motion lasts long enough")
         return []
     best = known[0]
-    source = f"against {best.against}, {best.spans} spans"
+    made = " of an odometry derived from it" if drive.odometry_is_derived else ""
+    source = f"against {best.against}, {best.spans} spans{made}"
     # against the stream as it was recorded, which is what drive.yaml corrects
     applied = drive.odometry_correction
     stated, sd = applied.speed_scale, best.speed_scale_sd * applied.speed_scale

@@ -23,7 +23,8 @@ _LEAST = 20
 _DIFFERENCE_S = 0.02
 _EXPLAINED_MIN = 0.6
 _SCALE_FLOOR = {"reference.csv": 0.0005, "the camera": 0.003}
-_DELAY_FLOOR_S = 0.002
+# by ways and by turns: wheels slip with the acceleration, which looks like 10 to 20 ms
+_DELAY_FLOORS_S = (0.02, 0.003)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ def odometry_errors(drive: Drive, witness: Witness) -> OdometryErrors | None:
         if way_fit is None or turn_fit is None:
             return None
         steps = np.array([-way_fit.values[1], -turn_fit.values[2]])
-        sds = np.array([way_fit.sd[1], turn_fit.sd[2]])
+        sds = np.hypot([way_fit.sd[1], turn_fit.sd[2]], _DELAY_FLOORS_S)
         usable = np.isfinite(sds) & (sds > 0.0)
         usable &= [
             _explained(f, t) > _EXPLAINED_MIN
@@ -132,7 +133,7 @@ def odometry_errors(drive: Drive, witness: Witness) -> OdometryErrors | None:
         speed_scale=float(way_fit.values[0]),
         speed_scale_sd=float(np.hypot(way_fit.sd[0], _SCALE_FLOOR[witness.name])),
         delay_s=delay if told else float("nan"),
-        delay_sd_s=float(np.hypot(delay_sd, _DELAY_FLOOR_S)) if told else float("nan"),
+        delay_sd_s=delay_sd if told else float("nan"),
         yaw_rate_scale=float(turn_fit.values[0]) if turned else float("nan"),
         yaw_rate_scale_sd=float(turn_fit.sd[0]) if turned else float("nan"),
         yaw_rate_bias_radps=float(turn_fit.values[1]),

@@ -24,7 +24,7 @@ _NEGLIGIBLE = {
     "odometry.delay_s": 0.015,
 }
 _SIGNIFICANT = 3.0
-_ROWS_PX, _ACROSS_PX = 0.5, 1.0
+_ROWS_PX, _ACROSS_PX, _YAW_PX = 0.5, 1.0, 0.5
 # camera odometry keeps to a percent or two of a well calibrated pair
 _SCALE = 0.02
 
@@ -113,9 +113,21 @@ class Calibration:
 
 
 def _row_findings(rows: RowAgreement) -> list[Finding]:
+    found = []
+    if abs(rows.yaw_px) > _YAW_PX and abs(rows.yaw_rad) > _SIGNIFICANT * rows.yaw_sd_rad:
+        found.append(
+            Finding(
+                "rectification", "warning", "camera",
+                f"the rows have the keystone of a right camera turned by "
+                f"{np.degrees(rows.yaw_rad):.3f} +- {np.degrees(rows.yaw_sd_rad):.3f} degrees: "
+                f"disparities are off by {abs(rows.yaw_px):.1f} px, or if its principal point "
+                "makes up for that in the middle, towards the edges",
+                f"{_YAW_PX:g} px at most", "calibrate the pair again",
+            )
+        )  # fmt: skip
     if abs(rows.median_px) <= _ROWS_PX and not rows.across_px > _ACROSS_PX:
-        return []
-    return [
+        return found
+    return found + [
         Finding(
             "rectification", "warning", "camera",
             f"rows differ by {rows.median_px:.2f} px in the median and by {rows.across_px:.1f} px "

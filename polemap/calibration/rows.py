@@ -38,6 +38,7 @@ class RowAgreement:
         grid_px: medians `(rows, columns)` over the parts of the picture, NaN without matches.
         pitch_rad, roll_rad, yaw_rad: of the right camera against the left one (ISO 8855: pitch nose
             down, yaw to the left), with `_sd`.
+        yaw_px: what that yaw does to the disparities in the middle, if no principal point hides it.
         focal_ratio: of the right to the left focal length, minus one.
         lower_m: by how much the right camera stands lower.
         rest_px: spread of what these leave.
@@ -55,6 +56,7 @@ class RowAgreement:
     roll_sd_rad: float
     yaw_rad: float
     yaw_sd_rad: float
+    yaw_px: float
     focal_ratio: float
     focal_ratio_sd: float
     lower_m: float
@@ -115,6 +117,7 @@ def agreement(matches: Sequence[PairMatch], rig: StereoRig, name: str) -> RowAgr
         roll_sd_rad=float(sd[1]),
         yaw_rad=-float(values[2]),
         yaw_sd_rad=float(sd[2]),
+        yaw_px=-rig.focal_px * float(values[2]),
         focal_ratio=float(values[3]),
         focal_ratio_sd=float(sd[3]),
         lower_m=float(values[4]) * rig.baseline_m,
