@@ -127,14 +127,15 @@ def _row_findings(rows: RowAgreement) -> list[Finding]:
         )  # fmt: skip
     if abs(rows.median_px) <= _ROWS_PX and not rows.across_px > _ACROSS_PX:
         return found
-    return found + [
+    found.append(
         Finding(
             "rectification", "warning", "camera",
             f"rows differ by {rows.median_px:.2f} px in the median and by {rows.across_px:.1f} px "
             "between parts of the picture",
             f"{_ROWS_PX:g} px and {_ACROSS_PX:g} px at most", "calibrate the pair again",
         )
-    ]  # fmt: skip
+    )  # fmt: skip
+    return found
 
 
 def _scale_findings(scale: tuple[float, float] | None) -> list[Finding]:
