@@ -20,11 +20,12 @@ from polemap.drivelog.samples import GnssFix, OdometrySample, Sample, StereoFram
 from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.clocks import ComputerClock, StreamClock
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.contradictions import Held, OdometryWatch
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
+from polemap.localize.odometry_watch import Held, OdometryWatch
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.health import distrust, fixes_disagree
 from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
+from polemap.localize.output_filter.state import NEVER
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.localize.particle_filter.health import not_offered
@@ -240,7 +241,7 @@ class Localizer:
                 placed = self._filter.add_odometry(
                     stamp,
                     *self._correction.rates(sample),
-                    doubted=held is not None,
+                    doubted=held is not None and held.speed_doubted,
                     turn_doubted=held is not None and held.turn_doubted,
                 )
             self._count("odometry", placed)
@@ -258,8 +259,12 @@ class Localizer:
             self._release(fix.arrival_s)
             placed = self._filter.add_gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
             self._count("gnss", placed)
-            if self._filter.started and fixes_disagree(self._filter.newest, stamp):
-                self._watch.contradict(stamp)
+            if self._filter.started:
+                state = self._filter.newest
+                # what fixes have started says nothing of odometry while poles may yet do so
+                judged = self._particle_filter is None or state.last_pose_s != NEVER
+                if judged and fixes_disagree(state, stamp):
+                    self._watch.contradict(stamp)
             if self._particle_filter is not None:
                 self._inbox.append((replace(fix, stamp_s=stamp), None))
 

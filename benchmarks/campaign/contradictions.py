@@ -1,8 +1,8 @@
 """Every kind of fault of `faults.py` on many seeds: is the localizer right, or does it say so?
 
 `python -m benchmarks.campaign.contradictions [--seeds N] [--first N] [--kinds WORD] [--out FILE]
-[--workers N]` runs them and prints a line a kind. The rows go to FILE as they come; what stands
-there already is not run again, so a campaign that was stopped goes on.
+[--workers N] [--held-out]` runs them and prints a line a kind. The rows go to FILE as they come;
+what stands there already is not run again, so a campaign that was stopped goes on.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.campaign.faults import KINDS
+from benchmarks.campaign.held_out import HELD_OUT
 from benchmarks.campaign.judge import judge
 from benchmarks.harness import FOLDER
 from polemap.drivelog.jobs import LocalWorkers, in_order
@@ -31,13 +32,14 @@ def one(job: tuple[str, int]) -> dict[str, Any]:
     """One kind with one seed; a crash is an outcome."""
     name, seed = job
     try:
-        faulty = KINDS[name](seed)
+        faulty = {**KINDS, **HELD_OUT}[name](seed)
         case = faulty.case
         run = replay(case.drive, case.pole_map, case.scans, LocalizeConfig(), seed=seed)
         verdicts = {key: asdict(verdict) for key, verdict in judge(run, faulty).items()}
     except Exception as error:  # the campaign counts crashes, and goes on
         verdicts = {
-            key: {"silent_s": 0.0, "healthy": 0.0, "worst_m": 0.0, "back_s": float("nan"),
+            key: {"silent_s": 0.0, "healthy": 0.0, "worst_m": 0.0,
+                  "delay_s": float("nan"), "back_s": float("nan"),
                   "outcome": f"crash: {type(error).__name__}: {error}"}
             for key in ("pf", "kf")
         }  # fmt: skip
@@ -59,7 +61,10 @@ def run_all(kinds: list[str], seeds: range, out: Path, workers: int = 2) -> list
 
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """A line a kind."""
-    yield "kind | silent s pf, kf | runs silent | healthy pf, kf | worst m pf, kf | back s pf, kf"
+    yield (
+        "kind | silent s pf, kf | runs silent | healthy pf, kf | worst m pf, kf | "
+        "delay s pf, kf | back s pf, kf"
+    )
     for kind in dict.fromkeys(row["kind"] for row in rows):
         of = [row for row in rows if row["kind"] == kind]
         cells = []
@@ -68,12 +73,14 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
             cells.append(", ".join(f"{value:.2f}" for value in pair))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            pair = [np.nanmedian([row[f]["back_s"] for row in of]) for f in ("pf", "kf")]
+            for key in ("delay_s", "back_s"):
+                pair = [np.nanmedian([row[f].get(key, np.nan) for row in of]) for f in ("pf", "kf")]
+                cells.append(", ".join(f"{value:.1f}" for value in pair))
         silent = sum(row["pf"]["silent_s"] + row["kf"]["silent_s"] > 0 for row in of)
         crashes = sum(row["kf"]["outcome"].startswith("crash") for row in of)
         yield (
-            f"{kind} | {cells[0]} | {silent} of {len(of)} | {cells[1]} | {cells[2]} | "
-            + ", ".join(f"{value:.1f}" for value in pair)
+            f"{kind} | {cells[0]} | {silent} of {len(of)} | "
+            + " | ".join(cells[1:])
             + (f" | {crashes} CRASHES" if crashes else "")
         )
 
@@ -86,8 +93,9 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--kinds", default="")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--held-out", action="store_true", help="the kinds of held_out.py")
     given = parser.parse_args(words)
-    kinds = [name for name in KINDS if given.kinds in name]
+    kinds = [name for name in (HELD_OUT if given.held_out else KINDS) if given.kinds in name]
     seeds = range(given.first, given.first + given.seeds)
     for line in table(run_all(kinds, seeds, given.out, given.workers)):
         print(line, flush=True)

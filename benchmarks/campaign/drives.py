@@ -26,13 +26,13 @@ Floats = NDArray[np.float64]
 
 _NOTHING = np.empty(0, dtype=np.int64)
 
-_TRUTH = ReferenceErrors(sd_m=0.0, time_s=1.0, yaw_sd_rad=0.0)
+TRUTH = ReferenceErrors(sd_m=0.0, time_s=1.0, yaw_sd_rad=0.0)
 STREET = PointScenario(
     duration_s=40.0,
     motion=CityTraffic(slip=Slip()),
     gnss=gnss(2.0),
     detector=DetectorConfig(rate_hz=11.0),
-    reference=_TRUTH,
+    reference=TRUTH,
 )
 """A car in town, poles every 5 m along its way."""
 
@@ -86,7 +86,7 @@ def car_park(seed: int) -> Case:
     """
     scenario = PointScenario(
         duration_s=90.0, motion=CarPark(), pole_spacing_m=4.0, map_sd_m=0.02,
-        gnss=gnss(2.0, 0.5), reference=_TRUTH,
+        gnss=gnss(2.0, 0.5), reference=TRUTH,
         detector=DetectorConfig(rate_hz=11.0, half_view_rad=0.6, range_max_m=25.0),
     )  # fmt: skip
     case = case_of(simulate_points(scenario, np.random.default_rng([seed, 78])))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.campaign.car_parks import Layout, hard_car_park
 from benchmarks.campaign.drives import STREET, Case, blind, car_park, street
 from polemap.drivelog.detections import Detections
 from polemap.map.pole_map import PoleMap
@@ -212,15 +213,17 @@ def other_map(seed: int) -> Faulty:
     return Faulty(replace(case, pole_map=moved))
 
 
-def scans_changed(change: Callable[[Detections], Detections], seconds: float) -> Kind:
+def scans_changed(
+    change: Callable[[Detections], Detections], seconds: float = np.inf, start_s: float = 18.0
+) -> Kind:
     """A detector that reports something else for a while."""
 
     def kind(seed: int) -> Faulty:
-        case = street(seed)
+        case, until_s = street(seed), start_s + seconds
         scans = tuple(
-            change(s) if 18.0 <= s.stamp_s < 18.0 + seconds and len(s) else s for s in case.scans
+            change(s) if start_s <= s.stamp_s < until_s and len(s) else s for s in case.scans
         )
-        return Faulty(replace(case, scans=scans), 18.0, 18.0 + seconds)
+        return Faulty(replace(case, scans=scans), start_s, until_s)
 
     return kind
 
@@ -231,6 +234,14 @@ def mirrored(scan: Detections) -> Detections:
     return scan.with_columns(
         points_vehicle_m=scan.points_vehicle_m * flip,
         covariance_m2=scan.covariance_m2 * np.outer(flip, flip),
+    )
+
+
+def ranges_times(factor: float) -> Callable[[Detections], Detections]:
+    """A baseline or a unit that is wrong: every pole is too near, or too far."""
+    return lambda scan: scan.with_columns(
+        points_vehicle_m=scan.points_vehicle_m * factor,
+        covariance_m2=scan.covariance_m2 * factor**2,
     )
 
 
@@ -249,6 +260,11 @@ def frozen_scans(seconds: float) -> Kind:
         return Faulty(replace(case, scans=scans), 18.0, 18.0 + seconds)
 
     return kind
+
+
+def parked(layout: Layout) -> Kind:
+    """Nothing is wrong with the sensors that is not always so in a car park."""
+    return lambda seed: Faulty(hard_car_park(seed, layout), 20.0)
 
 
 _STANDING = replace(STREET, motion=WindingRoad(standstill_s=8.0))
@@ -276,6 +292,9 @@ KINDS: dict[str, Kind] = {
     "yaw rate 0.05 rad/s off for 5 s": yaw_rate_changed(lambda w: w + 0.05, 5.0),
     "yaw rate in degrees": yaw_rate_changed(np.degrees),
     "car park, 7 % in tight turns": lambda seed: Faulty(car_park(seed), 30.0),
+    "car park, lamps along the way": parked("along the way"),
+    "car park, lamps in a grid": parked("grid"),
+    "car park, lamps in rows": parked("rows"),
     "no poles for 4 s": unseen(4.0),
     "no poles for 20 s": unseen(20.0),
     "fixes 18 s late": fixes_late(18.0),
@@ -292,6 +311,9 @@ KINDS: dict[str, Kind] = {
     "map doubled, 0.6 m and 0.5 degrees off": doubled_map(0.6, 0.009),
     "map doubled, 3 m off": doubled_map(3.0),
     "map of another street": other_map,
+    "detector ranges x 0.9 from the start": scans_changed(ranges_times(0.9), start_s=-1.0),
+    "detector ranges x 0.9": scans_changed(ranges_times(0.9)),
+    "detector ranges x 1.1": scans_changed(ranges_times(1.1)),
     "poles mirrored for 5 s": scans_changed(mirrored, 5.0),
     "poles frozen for 3 s": frozen_scans(3.0),
 }

@@ -25,6 +25,8 @@ class Verdict:
         silent_s: seconds healthy while wrong, in stretches of more than `PATIENCE_S`.
         healthy: share of the poses that were called healthy.
         worst_m: largest error while healthy.
+        delay_s: from the begin of the fault to the first pose called unhealthy; NaN where there is
+            none, or the fault was there from the start.
         back_s: from the end of the fault until the poses stay right and healthy; infinite where
             they do not, NaN where the fault lasts.
         outcome: "unaffected", "degraded and reported", "silently wrong" or "refused".
@@ -33,6 +35,7 @@ class Verdict:
     silent_s: float
     healthy: float
     worst_m: float
+    delay_s: float
     back_s: float
     outcome: str
 
@@ -55,7 +58,7 @@ def _of(track: Trajectory, healthy: NDArray[np.bool_], faulty: Faulty) -> Verdic
     stamps, poses, covariance = stamps[known], poses[known], covariance[known]
     healthy, truth = healthy[known], truth[known]
     if not len(stamps):
-        return Verdict(0.0, 0.0, 0.0, np.inf, "refused")
+        return Verdict(0.0, 0.0, 0.0, np.nan, np.inf, "refused")
     offset = poses[:, :2] - truth[:, :2]
     error = np.hypot(*offset.T)
     unit = offset / np.maximum(error, 1e-9)[:, None]
@@ -72,11 +75,13 @@ def _of(track: Trajectory, healthy: NDArray[np.bool_], faulty: Faulty) -> Verdic
         back = float("nan")
     after = stamps >= faulty.from_s
     reported = bool((~healthy[after]).any())
+    noticed = stamps[after & ~healthy]
+    delay = float(noticed[0] - faulty.from_s) if len(noticed) and faulty.from_s > 0 else np.nan
     outcome = (
         "silently wrong" if silent > 0 else "degraded and reported" if reported else ("unaffected")
     )
     worst = float(error[healthy].max()) if healthy.any() else 0.0
-    return Verdict(silent, float(healthy.mean()), worst, float(back), outcome)
+    return Verdict(silent, float(healthy.mean()), worst, delay, float(back), outcome)
 
 
 def stretches(stamps: Floats, flag: NDArray[np.bool_], longer_s: float) -> float:

@@ -25,6 +25,10 @@ _OWN_SHARE = 0.2
 _FIX = 7
 # how long all fixes must fail until their shared error is taken for another one
 _RENEWED_AFTER_S = 2.0
+HELD_S, WRONG_FIXES = 1.0, 3
+"""Fixes that fail so often in a row, while a pole held the pose not longer ago, are wrong."""
+# ... until so many in a row have passed
+_RIGHT_FIXES = 10
 
 
 def update_by_gnss(
@@ -64,7 +68,15 @@ def update_by_gnss(
     if fails_gate(innovation.nis, limit):
         counts = counts._replace(gnss_rejections=counts.gnss_rejections + 1)
         rejected = state.gnss_rejected + 1
-        return state._replace(counts=counts, gnss_rejected=rejected, gnss_rejected_since_s=since)
+        held = state.stamp_s - state.held_s <= HELD_S
+        return state._replace(
+            counts=counts,
+            gnss_rejected=rejected,
+            gnss_rejected_since_s=since,
+            gnss_wrong=state.gnss_wrong or (held and rejected >= WRONG_FIXES),
+            gnss_passed=0,
+        )
+    passed = state.gnss_passed + 1
     mean, updated = joseph_update(mean, covariance, innovation, jacobian, noise)
     return state._replace(
         mean=as_mean(mean),
@@ -72,4 +84,6 @@ def update_by_gnss(
         counts=counts._replace(gnss_accepted=counts.gnss_accepted + 1),
         gnss_rejected=0,
         gnss_rejected_since_s=_FOREVER,
+        gnss_wrong=state.gnss_wrong and passed < _RIGHT_FIXES,
+        gnss_passed=passed,
     )

@@ -68,7 +68,10 @@ def reject(
         counts = counts._replace(inflations=counts.inflations + 1)
         upper = _inflated(state.upper)
         return state._replace(counts=counts, upper=upper, decision="inflated")
-    if rival.fixes and rival.evidence / rival.fixes > _GNSS_VETO:
+    # a filter that fixes alone have led has nothing else to speak for it, and fixes that poles have
+    # shown to be wrong speak for nobody
+    heard = state.last_pose_s != NEVER and not state.gnss_wrong
+    if heard and rival.fixes and rival.evidence / rival.fixes > _GNSS_VETO:
         counts = counts._replace(gnss_vetoes=counts.gnss_vetoes + 1)
         return state._replace(counts=counts, decision="vetoed")
     counts = counts._replace(reinitializations=counts.reinitializations + 1)

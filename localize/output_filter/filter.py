@@ -51,6 +51,8 @@ Floats = NDArray[np.float64]
 
 # of rejected fixes, without an accepted pose, before the filter starts anew from the fixes
 _GNSS_RESTART_AFTER_S = 5.0
+# ... where poles have shown the fixes to be wrong: they may have come right in the meantime
+_WRONG_RESTART_AFTER_S = 60.0
 _NO_LEVER_ARM, _CAR = GnssReceiver(), NoiseModel()
 # order of events of one stamp
 _ODOMETRY, _GNSS, _RESTART, _POSE = 0, 1, 2, 3
@@ -148,7 +150,8 @@ class OutputFilter:
             placed = self._buffer.insert(stamp_s, GnssEvent(east_m, north_m, sd), kind=_GNSS)
             state = self._buffer.state
             lasted = stamp_s - max(state.gnss_rejected_since_s, state.last_pose_s)
-            if found is not None and lasted >= _GNSS_RESTART_AFTER_S:
+            after_s = _WRONG_RESTART_AFTER_S if state.gnss_wrong else _GNSS_RESTART_AFTER_S
+            if found is not None and lasted >= after_s:
                 self._buffer.insert(stamp_s, RestartEvent(*found), kind=_RESTART)
             return placed
         if found is None:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.config import HealthConfig
+from polemap.localize.gnss.ekf_update import HELD_S, WRONG_FIXES
 from polemap.localize.output_filter.failed_gate import INFLATE_AFTER_S
 from polemap.localize.output_filter.state import NEVER, FilterState
 
@@ -16,9 +17,9 @@ _YAW_SD_MAX_RAD = 0.1
 SILENT_AFTER_S = 0.5
 """Odometry is silent after so long; at town speed the car is then some metres further."""
 # fixes in a row, and how long; the errors of a fast receiver's fixes are alike for a moment
-_FIXES, _FIXES_AFTER_S = 3, 0.5
-ALONE_AFTER_S = 1.0
-"""So long after the last scan that found poles of the map nothing but odometry holds the pose."""
+_FIXES_AFTER_S = 0.5
+# without a scan, or with poses that nobody offers, nothing checks odometry
+_UNCHECKED_AFTER_S = 5.0
 
 
 def distrust(state: FilterState, stamp_s: float, covariance: Floats, config: HealthConfig) -> str:
@@ -32,7 +33,7 @@ def distrust(state: FilterState, stamp_s: float, covariance: Floats, config: Hea
 
     Returns:
         "unproven" (no pose on poles yet), "odometry_doubted", "odometry_silent", "poses_rejected",
-        "fixes_disagree" or "spread": the first that holds.
+        "fixes_disagree", "unchecked" (no pose for long) or "spread": the first that holds.
     """
     if state.last_pose_s == NEVER:
         return "unproven"
@@ -44,6 +45,8 @@ def distrust(state: FilterState, stamp_s: float, covariance: Floats, config: Hea
         return "poses_rejected"
     if fixes_disagree(state, stamp_s):
         return "fixes_disagree"
+    if stamp_s - state.last_pose_s > _UNCHECKED_AFTER_S:
+        return "unchecked"
     east, north, both = covariance[0, 0], covariance[1, 1], covariance[0, 1]
     largest = 0.5 * (east + north) + float(np.hypot(0.5 * (east - north), both))
     if largest > config.sd_max_m**2 or covariance[2, 2] > _YAW_SD_MAX_RAD**2:
@@ -55,8 +58,10 @@ def fixes_disagree(state: FilterState, stamp_s: float) -> bool:
     """Whether all fixes have failed for a while in which no pole spoke for the pose.
 
     Each fails a gate that 99 % of right ones pass, the error that they share known: three in a row
-    happen by chance once in a million. Where poles are found the fixes are wrong.
+    happen by chance once in a million. Where poles are found the fixes are wrong, and those that
+    failed while poles held the pose are no evidence later.
     """
-    alone = stamp_s - state.held_s > ALONE_AFTER_S
+    alone = stamp_s - state.held_s > HELD_S
     lasted_s = stamp_s - state.gnss_rejected_since_s
-    return alone and state.gnss_rejected >= _FIXES and lasted_s >= _FIXES_AFTER_S
+    failed = state.gnss_rejected >= WRONG_FIXES and lasted_s >= _FIXES_AFTER_S
+    return alone and failed and not state.gnss_wrong

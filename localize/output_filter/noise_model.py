@@ -40,14 +40,14 @@ class NoiseModel:
     yaw_acceleration_time_s: float = 0.3
     slip_rad_per_mps2: float = 0.004
     slip_time_s: float = 0.5
-    speed_error_share: float = 0.015
-    yaw_rate_error_radps: float = 0.003
+    speed_error_share: float = 0.01
+    yaw_rate_error_radps: float = 0.002
     odometry_error_time_s: float = 0.5
     turn_error_share: float = 0.01
     turn_error_time_s: float = 2.0
     speed_scale_sd: float = 0.03
     yaw_rate_offset_sd_radps: float = 0.005
-    odometry_drift_s: float = 3600.0
+    odometry_drift_s: float = 14400.0
     pose_floor_m: float = 0.03
     pose_floor_rad: float = 0.003
 

@@ -44,7 +44,7 @@ def update_by_odometry(
     speed, rate, doubted, turn_doubted = event
     counts, rejected = state.counts, 0
     still_since_s = float("inf")
-    if abs(speed) <= _STANDSTILL_MPS and not doubted:
+    if abs(speed) <= _STANDSTILL_MPS and not (doubted or turn_doubted):
         still_since_s = min(state.still_since_s, stamp_s)
     # a standstill takes several signals and some time: no speed, no turn, and no contradiction
     standing = stamp_s - still_since_s >= _STANDSTILL_S and _offset_explains(mean, upper, rate)
@@ -66,6 +66,13 @@ def update_by_odometry(
         if not turn_doubted:
             rw = (_DOUBTED_RADPS + _DOUBTED_SHARE * abs(rate)) ** 2
             mean, upper = update_by_two(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], rw)
+    elif turn_doubted:
+        # a turn that no car takes, or that never changes: of some use beside the fixes
+        rejected = 1
+        counts = counts._replace(odometry_doubted=counts.odometry_doubted + 1)
+        mean, upper = update_by_two(mean, upper, row_v, dv, rv)
+        rw = (_DOUBTED_RADPS + _DOUBTED_SHARE * abs(rate)) ** 2
+        mean, upper = update_by_two(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], rw)
     elif fails_gate(_pair_nis(upper, row_v, row_w, rv, rw, dv, dw), limit):
         rejected = state.odometry_rejected + 1
         counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)
@@ -92,7 +99,7 @@ def update_by_odometry(
         state.rival,
         state.last_pose_s,
         state.last_gnss_s,
-        0 if doubted else rejected,
+        0 if doubted or turn_doubted else rejected,
         state.gnss_rejected_since_s,
         state.gnss_rejected,
         state.decision,
@@ -100,9 +107,11 @@ def update_by_odometry(
         state.slip_rad_per_mps2,
         state.held_s,
         stamp_s,
-        doubted,
+        doubted or turn_doubted,
         still_since_s,
         state.odometry_prior,
+        state.gnss_wrong,
+        state.gnss_passed,
     )
 
 

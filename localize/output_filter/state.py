@@ -11,8 +11,8 @@ PoseUpper = tuple[float, float, float, float, float, float]
 
 
 class OdometryEvent(NamedTuple):
-    """Speed and yaw rate; what contradicts what came before it, the poles or the fixes is
-    doubted, and its turn too where that is not sure either."""
+    """Speed and yaw rate; which of the two contradicts what came before it, the poles or the fixes,
+    or what a car can do."""
 
     speed_mps: float
     yaw_rate_radps: float
@@ -102,6 +102,8 @@ class FilterState(NamedTuple):
         doubted: whether that was in doubt.
         still_since_s: since when all odometry says that the car stands, infinite if it does not.
         odometry_prior: variances of the odometry's errors before anything is learned of them.
+        gnss_wrong: whether fixes have failed while poles held the pose.
+        gnss_passed: fixes in a row that have passed since.
     """
 
     stamp_s: float
@@ -122,3 +124,5 @@ class FilterState(NamedTuple):
     doubted: bool = False
     still_since_s: float = float("inf")
     odometry_prior: tuple[float, float] = (0.0, 0.0)
+    gnss_wrong: bool = False
+    gnss_passed: int = 0

@@ -12,10 +12,10 @@ from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.calibration import OdometryCalibration, OdometryCorrection
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.contradictions import Held
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.particle_weights import FixWeights
 from polemap.localize.odometry_history import OdometryHistory
+from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.estimate import (
     Event,
     HealthRecord,
@@ -28,6 +28,7 @@ from polemap.localize.particle_filter.exploration import normalized_quality
 from polemap.localize.particle_filter.health import PROVEN_SD_M
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.motion_noise import NoiseScale
+from polemap.localize.particle_filter.odometry_faults import demand
 from polemap.localize.particle_filter.odometry_trust import OdometryTrust
 from polemap.localize.particle_filter.particles import ParticleSet, effective_count, log_mean
 from polemap.localize.particle_filter.pole_weigher import (
@@ -38,6 +39,7 @@ from polemap.localize.particle_filter.pole_weigher import (
 from polemap.localize.particle_filter.recovery import Recovery, Step
 from polemap.localize.particle_filter.twins import TwinPoles
 from polemap.map.pole_map import PoleMap
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 # share of the first scan that counts: particles from a start are few for a sharp scan
@@ -182,9 +184,12 @@ class ParticleFilter:
             )
             if self._odometry.release(self._particles, arcs, before, after):
                 self._recovery.search.forget_poles()
+            if self._recovery.proof.proven and self._particles.motion is None:
+                self._particles.faults.step(stamp - self._stamp_s, *demand(self._history, stamp))
             self._particles.move_along(
                 arcs, self._noise.factors if self._recovery.proof.proven else np.ones(3)
             )
+            self._recovery.scatter(self._particles, stamp, travelled)
             share = independent_share(
                 travelled - self._travelled_m, stamp - self._stamp_s, self._config.poles
             )
@@ -195,7 +200,7 @@ class ParticleFilter:
                 return None
             self._particles.place_all(drawn, np.zeros(len(drawn)))
             event, share = "initialized", _FIRST_SHARE
-        step = Step(odometry_pose, travelled - self._travelled_m, stamp - self._stamp_s)
+        step = Step(odometry_pose, travelled - self._travelled_m, stamp - self._stamp_s, travelled)
         self._stamp_s, self._travelled_m = stamp, travelled
         particles = self._particles
         particles.log_weights = self._fixes.weigh_by_fixes(
@@ -247,6 +252,11 @@ class ParticleFilter:
         if config.estimate == "best_mode" and modes:
             # also where the others are too light to count: they would still pull the mean
             pose, spread = modes[0].mean, modes[0].covariance
+            if len(modes) == 1:
+                # what is too light to be a mode still counts for what is not known
+                away = pose - mean
+                away[2] = wrap_angle(away[2])
+                spread = covariance + np.outer(away, away)
         twins = self._twins.offset_at(pose[:2])
         if twins.any():
             # of two places as far apart as the map's two surveys nobody knows which
@@ -261,6 +271,7 @@ class ParticleFilter:
             fit.expected,
             float(np.sqrt(major * minor)),
             self._fixes.distance_sd(pose, spread),
+            held=self._recovery.held(scan.stamp_s),
         )
         if event in ("initialized", "reinitialized"):
             self._recovery.proof.begin()
@@ -269,6 +280,18 @@ class ParticleFilter:
             self._recovery.prove(scan, fit, pose, step, narrow=narrow)
         possible = max(min(float(len(scan)), fit.expected), float(fit.matched))
         unmatched = self._recovery.unmatched.contradict(scan.stamp_s, fit.matched, possible)
+        independent = independent_share(step.moved_m, step.elapsed_s, config.poles)
+        strange = self._recovery.strange
+        if event is None:
+            before = strange.contradict
+            self._recovery.add_held(scan.stamp_s, fit.matched, independent)
+            strange.add_scan(
+                fit.matched, len(scan), fit.misfit, independent, mapped=fit.in_view > 0
+            )
+            if strange.contradict and not before:
+                self.counts["poles_contradict"] += 1
+                self._recovery.proof.begin()
+        unmatched |= strange.contradict
         opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
         settled = self._recovery.proof.proven and len(modes) == 1
         narrow = major <= config.health.sd_max_m

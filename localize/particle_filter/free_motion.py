@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.contradictions import Held
+from polemap.localize.odometry_watch import Held
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -77,19 +77,22 @@ class LostDetector:
         expected: float,
         geometric_sd_m: float,
         gnss_distance_sd: float | None,
+        *,
+        held: bool = False,
     ) -> None:
         """Take in what the estimate makes of a scan.
 
         Args:
             expected: detections of map poles to be hoped for.
             gnss_distance_sd: from the newest fix, in standard deviations; None without one.
+            held: whether so many poles have held the pose that a far fix is wrong.
         """
         config = self._config
         elapsed = 0.0 if self._last_s is None else stamp_s - self._last_s
         self._last_s = stamp_s
         self._geometric_sd_m = geometric_sd_m
         if gnss_distance_sd is not None:
-            far = gnss_distance_sd > _FAR_SD
+            far = gnss_distance_sd > _FAR_SD and not held
             self._far_fixes_s = [*self._far_fixes_s, stamp_s] if far else []
         possible = max(min(seen, expected), matched)
         if possible < _LEAST_POSSIBLE:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc
 from polemap.localize.particle_filter.free_motion import FreeMotion
+from polemap.localize.particle_filter.odometry_faults import OdometryFaults
 from polemap.vehicle.motion import arc_displacement
 from polemap.vehicle.pose import move_reference_point
 
@@ -31,6 +32,7 @@ def sample_motion(
     slip_rad_per_mps2: Floats | float = 0.0,
     factors: Floats | tuple[float, float, float] = (1.0, 1.0, 1.0),
     motion: FreeMotion | None = None,
+    faults: OdometryFaults | None = None,
 ) -> Floats:
     """Front-axle poses `(n, 3)` after the arcs, each particle with its own noise; yaw not wrapped.
 
@@ -43,7 +45,8 @@ def sample_motion(
     paper leaves out. On an arc of lateral acceleration a it goes in the direction yaw - k a, with
     `slip_rad_per_mps2` k of every particle, `(n,)`.
 
-    With `motion` the particles that are free move by rates of their own.
+    With `motion` the particles that are free move by rates of their own; without it those that
+    `faults` says hold the odometry for wrong correct it by what they take its errors for.
 
     `factors` scale the noise along, aside and of the turn (`NoiseScale`).
 
@@ -66,6 +69,9 @@ def sample_motion(
             speed += motion.followed_mps - arc.speed_mps
             speed = np.where(motion.free, motion.speed_mps, speed)
             rate = np.where(motion.free, motion.yaw_rates(arc.yaw_rate_radps), rate)
+        elif faults is not None and arc.speed_mps != 0.0:
+            speed += faults.speed_share * arc.speed_mps
+            rate += faults.rate_radps
         distance = speed * arc.dt_s
         turn = arc.dt_s * rate
         sideslip = -slip_rad_per_mps2 * (arc.speed_mps * arc.yaw_rate_radps)

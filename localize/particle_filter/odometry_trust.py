@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import OdometrySample
-from polemap.localize.contradictions import Held, OdometryAgreement, PoleInnovations
+from polemap.localize.contradictions import OdometryAgreement, PoleInnovations
 from polemap.localize.odometry_history import Arc
+from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.estimate import Opinion
 from polemap.localize.particle_filter.particles import ParticleSet
 
@@ -18,6 +19,8 @@ Floats = NDArray[np.float64]
 
 # of the particles, those that leave the odometry when it comes into doubt
 _FREE_SHARE = 0.5
+# weight of the particles that hold it for wrong, and how long, until it is
+_FAULTY_SHARE, _FAULTY_S = 0.8, 0.3
 
 
 class OdometryTrust:
@@ -36,6 +39,7 @@ class OdometryTrust:
         self._taken_back = self._confirmed = False
         self._innovations = PoleInnovations()
         self._agreement = OdometryAgreement()
+        self._faults = OdometryAgreement(share=_FAULTY_SHARE, lasts_s=_FAULTY_S)
 
     def believed(self, sample: OdometrySample, held: Held | None) -> OdometrySample:
         """What to move by: the sample, or the speed that held before it stepped.
@@ -90,6 +94,7 @@ class OdometryTrust:
         if was != self.doubted:
             self._innovations.forget()
             self._agreement.forget()
+            self._faults.forget()
         return was != self.doubted
 
     def add_correction(
@@ -107,7 +112,8 @@ class OdometryTrust:
     def opinion(self, particles: ParticleSet, matched: int, elapsed_s: float) -> Opinion | None:
         """What poles say of the odometry after a scan; None where they do not know."""
         if not self.doubted:
-            return "contradicted" if self._refuted else None
+            faulty = self._faults.confirm(particles.faulty_share, matched, elapsed_s)
+            return "contradicted" if self._refuted or faulty else None
         if self._silent:
             return None
         following = particles.following_share

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.contradictions import Held
 from polemap.localize.odometry_history import Arc
+from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.free_motion import FreeMotion
 from polemap.localize.particle_filter.motion_model import sample_motion
-from polemap.vehicle.pose import move_reference_point, wrap_angle
+from polemap.localize.particle_filter.odometry_faults import OdometryFaults
+from polemap.vehicle.pose import move_reference_point, rotate, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -22,6 +23,8 @@ _RESAMPLE_BELOW = 0.5
 _SLIP_SD_RAD_PER_MPS2 = 0.0015
 # log-weight of a particle that followed an odometry that took it back
 _DROPPED = -5.0
+# what odometry may be wrong by, along and in yaw, over a way on which no pole was found
+_ASTRAY_M, _ASTRAY_SHARE, _ASTRAY_RADPM, _ASTRAY_MAX_RAD = 0.3, 0.08, 0.015, 0.25
 # kernel that parts survivors of one particle, as a share of the spread (Liu and West 2001)
 _KERNEL = 0.1
 
@@ -31,6 +34,7 @@ class ParticleSet:
 
     Attributes:
         motion: of those that do not follow the odometry, None while all do.
+        faults: which of them hold the odometry for wrong.
     """
 
     def __init__(
@@ -43,6 +47,9 @@ class ParticleSet:
         self.log_weights = np.empty(0)
         self._slips = np.empty(0)
         self.motion: FreeMotion | None = None
+        # draws of its own, so that a sound drive's other draws do not depend on it
+        self._fault_rng = rng.spawn(1)[0]
+        self.faults = OdometryFaults(0, self._fault_rng)
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -67,13 +74,15 @@ class ParticleSet:
         self.poses = move_reference_point(rear, self._wheelbase_m)
         self.poses[:, 2] = wrap_angle(self.poses[:, 2])
         self.log_weights = log_weights
+        if len(self.faults.faulty) != len(rear):
+            self.faults = OdometryFaults(len(rear), self._fault_rng)
         self._slips = self._drawn_slips(len(rear)) if slips is None else slips
 
     def move_along(self, arcs: Iterable[Arc], factors: Floats) -> None:
         """Move by the odometry's arcs, each particle with its own noise."""
         moved = sample_motion(
             self.poses, arcs, self._wheelbase_m, self._config, self._rng, self._slips, factors,
-            self.motion,
+            self.motion, self.faults,
         )  # fmt: skip
         moved[:, 2] = wrap_angle(moved[:, 2])
         self.poses = moved
@@ -92,11 +101,29 @@ class ParticleSet:
         """Weight of the particles that follow the odometry."""
         return 1.0 if self.motion is None else float(self.weights[~self.motion.free].sum())
 
+    @property
+    def faulty_share(self) -> float:
+        """Weight of the particles that hold the odometry for wrong."""
+        return float(self.weights[self.faults.faulty].sum())
+
+    def scatter(self, share: float, way_m: float) -> None:
+        """Put a share of them where odometry that was wrong over so long a way may have led to."""
+        noise = self._fault_rng.standard_normal((2, len(self)))
+        chosen = self._fault_rng.random(len(self)) < share
+        along = np.where(chosen, (_ASTRAY_M + _ASTRAY_SHARE * way_m) * noise[0], 0.0)
+        turn = np.where(chosen, min(_ASTRAY_RADPM * way_m, _ASTRAY_MAX_RAD) * noise[1], 0.0)
+        rear = self.rear
+        rear[:, :2] += rotate(np.stack([along, 0.5 * way_m * turn], axis=1), rear[:, 2])
+        rear[:, 2] += turn
+        self.place_all(rear, self.log_weights, self._slips)
+
     def replace_some(self, rear: Floats, log_weights: Floats) -> None:
         """Let rear-axle poses take the places of as many particles."""
         kept = low_variance_indices(self.weights, len(self) - len(rear), self._rng)
         if self.motion is not None:
             self.motion.take_with_newcomers(kept, len(self))
+        self.faults.take(kept)
+        self.faults.join(len(self))
         self.place_all(
             np.vstack([self.rear[kept], rear]),
             np.concatenate([np.zeros(len(kept)), log_weights]),
@@ -113,6 +140,7 @@ class ParticleSet:
         self._slips = jittered(self._slips[chosen], self._rng)
         if self.motion is not None:
             self.motion.take(chosen)
+        self.faults.take(chosen)
         self.poses = self.poses[chosen]
         self.log_weights = np.zeros(count)
 

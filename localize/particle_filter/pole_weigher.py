@@ -48,11 +48,18 @@ def reach_of(scan: Detections, view: VisibleRegion) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """What one pose makes of a scan: matched poles, map poles in view, detections hoped for."""
+    """What one pose makes of a scan.
+
+    Attributes:
+        matched, in_view: poles that match, and map poles in view.
+        expected: detections to be hoped for.
+        misfit: sum of the squared distances of equation (7) over those that match.
+    """
 
     matched: int
     in_view: int
     expected: float
+    misfit: float = 0.0
 
 
 class PoleWeigher:
@@ -118,7 +125,12 @@ class PoleWeigher:
         result = self.weigh(pose[np.newaxis], scan, landmarks)
         local = inverse_transform_points(pose, landmarks.points_m)
         in_view = int(self._view_of(scan).contains(local).sum())
-        return Match(int(result.matched[0]), in_view, float(result.expected[0]))
+        return Match(
+            int(result.matched[0]),
+            in_view,
+            float(result.expected[0]),
+            -2.0 * float(result.log_fit[0]),
+        )
 
     def _view_of(self, scan: Detections) -> VisibleRegion:
         return scan.view if scan.view is not None else self._view

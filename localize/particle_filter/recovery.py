@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.localize.config import RecoveryConfig
-from polemap.localize.contradictions import UnmatchedPoles
+from polemap.localize.contradictions import StrangePoles, UnmatchedPoles
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.particle_filter.estimate import Event
 from polemap.localize.particle_filter.exploration import LikelihoodAverages
@@ -31,15 +31,21 @@ _RESTART_SHARE = 0.75
 _EXPLORE_SHARE_MAX = 0.2
 # searches of a proven place that is in doubt come so many times less often
 _DOUBT_INTERVALS = 4.0
+# independent poles that must have fitted, the last of them not longer ago
+_HELD_POLES, _HELD_S = 12.0, 3.0
+# poles that match nothing send half of the particles around, once a second, as far as odometry may
+# have been wrong over so long a way
+_SCATTER_S, _SCATTER_SHARE, _SCATTER_MAX_M = 1.0, 0.5, 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Odometry pose `(3,)` at a scan, and the way and time since the last one."""
+    """Odometry pose `(3,)` at a scan, the way and time since the last one, and since the first."""
 
     odometry_pose: Floats
     moved_m: float
     elapsed_s: float
+    travelled_m: float = 0.0
 
 
 class Recovery:
@@ -52,7 +58,7 @@ class Recovery:
         search: where the car may be.
         averages: of how well scans fit.
         lost, proof: the judgement of the present place.
-        unmatched: whether the last second's poles contradict it.
+        unmatched, strange: whether the poles of the last second, or the last few, contradict it.
         explored_share: of the particles that the last scan gave another place.
     """
 
@@ -72,13 +78,18 @@ class Recovery:
         self.averages = LikelihoodAverages(_EXPLORE_SHARE_MAX)
         self.lost = LostDetector(config)
         self.proof = StartProof(config)
-        self.unmatched = UnmatchedPoles()
+        self.unmatched, self.strange = UnmatchedPoles(), StrangePoles()
+        self._scattered_s = -np.inf
+        self._matched_at_m = 0.0
+        self._held_by = 0.0
+        self._matched_s = -np.inf
         self.explored_share = 0.0
 
     def believe(self) -> None:
         """Somebody who should know has said where the car is."""
         self.averages.reset()
         self.lost.reset()
+        self.strange.forget()
         self.proof.believe()
 
     def recover(
@@ -138,6 +149,7 @@ class Recovery:
         self.averages.reset()
         self.lost.reset()
         self.unmatched.forget()
+        self.strange.forget()
         return True
 
     def _mix_in(self, particles: ParticleSet, rear: Floats, log_weights: Floats) -> None:
@@ -145,14 +157,44 @@ class Recovery:
         self.explored_share = len(rear) / len(particles)
         particles.replace_some(rear, log_weights)
 
+    def add_held(self, stamp_s: float, matched: int, share: float) -> None:
+        """Take in the poles of a scan that fit, and the share of it that is independent."""
+        if not self.proof.proven or self.strange.contradict:
+            self._held_by = 0.0
+        elif matched:
+            self._held_by += matched * share
+            self._matched_s = stamp_s
+
+    def held(self, stamp_s: float) -> bool:
+        """Whether so many poles have held the pose, the last one lately, that fixes far away are
+        wrong."""
+        lately = stamp_s - self._matched_s <= _HELD_S
+        return lately and self._held_by >= _HELD_POLES
+
+    def scatter(self, particles: ParticleSet, stamp_s: float, travelled_m: float) -> None:
+        """Poles are seen and match nothing: half of the particles look around.
+
+        They go where odometry that was wrong since the last match may have led to.
+
+        Args:
+            stamp_s, travelled_m: of the scan.
+        """
+        if not self.strange.contradict or stamp_s - self._scattered_s < _SCATTER_S:
+            return
+        self._scattered_s = stamp_s
+        particles.scatter(_SCATTER_SHARE, min(travelled_m - self._matched_at_m, _SCATTER_MAX_M))
+        self.counts["scattered"] += 1
+
     def prove(
         self, scan: Detections, fit: Match, pose: Floats, step: Step, *, narrow: bool
     ) -> None:
         """Ask the last metres' constellation while the place is not proven, or in doubt again."""
         proof = self.proof
+        if fit.matched and not self.strange.contradict:
+            self._matched_at_m = step.travelled_m
         proof.add_fit(fit.matched, len(scan), step.elapsed_s)
         verdict: Verdict = "open"
-        if not proof.proven or proof.in_doubt:
+        if not proof.proven or proof.in_doubt or self.strange.contradict:
             intervals = _DOUBT_INTERVALS if proof.proven else 1.0
             if self.search.rested(scan.stamp_s, intervals):
                 verdict = self.search.verify(

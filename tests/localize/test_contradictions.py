@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from polemap.localize.contradictions import (
-    Held,
     OdometryAgreement,
-    OdometryWatch,
     PoleInnovations,
+    StrangePoles,
     UnmatchedPoles,
 )
+from polemap.localize.odometry_watch import Held, OdometryWatch, StuckSignal
 
 STEP_S = 0.02
 
@@ -164,7 +164,7 @@ def test_a_motion_that_is_off_is_contradicted_within_two_seconds(drift):
 
 def test_a_window_starts_anew_where_the_pose_is_not_held():
     watch = PoleInnovations()
-    moved = np.array([0.3, 0.0, 0.0])
+    moved = np.array([0.5, 0.0, 0.0])
     narrow, wide = np.diag([1e-4] * 3), np.diag([2e-4] * 3)
     for k in range(10):
         assert not watch.contradict(0.1 * k, (np.zeros(3), wide), (moved, narrow), steady=False)
@@ -201,3 +201,89 @@ def test_odometry_is_confirmed_by_those_that_follow_it_where_poles_are_seen():
     agreement.forget()
     assert not any(agreement.confirm(0.9, 0, 0.1) for _ in range(50))  # no pole, no word
     assert not any(agreement.confirm(0.3, 3, 0.1) for _ in range(50))  # poles refute it
+
+
+@pytest.mark.parametrize("signal", ["speed", "turn"])
+def test_a_signal_that_never_repeated_itself_and_now_does_is_stuck(signal):
+    watch = OdometryWatch()
+    # the steps from and to the stuck values are no larger than a car's
+    stamps, speeds, rates = drive(9.0, 0.05)
+    wrong = (stamps >= 5.0) & (stamps < 7.0)
+    stuck = (np.where(wrong, 9.0, speeds), rates) if signal == "speed" else (
+        speeds, np.where(wrong, 0.05, rates)
+    )  # fmt: skip
+    doubted = doubts(watch, stamps, *stuck)
+    assert not doubted[stamps < 5.1].any()
+    assert doubted[(stamps > 5.2) & (stamps < 7.0)].all()
+    assert watch.held is None or watch.held.speed_doubted == (signal == "speed")
+
+
+def test_coarse_signals_and_standing_cars_are_not_stuck():
+    rng = np.random.default_rng(1)
+    coarse = StuckSignal()
+    values = np.round(9.0 + 0.05 * rng.standard_normal(5000), 1)
+    assert not any(coarse.stuck(value) for value in values)
+    assert not any(coarse.stuck(9.0) for _ in range(50))
+    watch = OdometryWatch()
+    stamps, speeds, rates = drive(9.0)
+    still = stamps >= 10.0
+    speeds = np.where(still, np.maximum(0.0, 9.0 - 6.0 * (stamps - 10.0)), speeds)
+    assert not doubts(watch, stamps, speeds, np.where(speeds > 0.0, rates, 0.0)).any()
+
+
+def test_a_turn_that_no_car_takes_leaves_the_speed_believed():
+    watch = OdometryWatch()
+    watch.check(0.0, 9.0, 0.2)
+    held = watch.check(0.02, 9.0, -0.2)
+    assert held == Held(0.0, 9.0, 0.2, 0.0, turn_doubted=True, speed_doubted=False)
+    watch.contradict(0.03)  # what poles say is of both
+    assert watch.held is not None
+    assert watch.held.speed_doubted
+
+
+def scans(strange, seconds, share_matched, misfit, seed=0, seen=2, mapped=True):
+    """Eleven scans a second of `seen` poles, a third of them independent; when it contradicts."""
+    rng = np.random.default_rng(seed)
+    said = []
+    for _ in range(int(11 * seconds)):
+        matched = int(rng.binomial(seen, share_matched))
+        distance = misfit / 2.0 * float(rng.chisquare(2, matched).sum())
+        strange.add_scan(matched, seen, distance, 0.3, mapped=mapped)
+        said.append(strange.contradict)
+    return np.array(said)
+
+
+@pytest.mark.parametrize(
+    ("share", "misfit"), [(0.9, 1.5), (0.95, 1.2), (0.8, 2.3), (0.7, 1.8)],
+    ids=["points", "Victoria Park", "KITTI 03", "aged map"],
+)  # fmt: skip
+def test_poles_that_fit_as_ever_are_not_strange(share, misfit):
+    for seed in range(10):
+        assert not scans(StrangePoles(), 120.0, share, misfit, seed).any()
+
+
+@pytest.mark.parametrize(
+    ("share", "misfit", "within_s"), [(0.0, 0.0, 1.5), (0.55, 5.5, 5.0)],
+    ids=["a wrong pose", "ranges a tenth wrong"],
+)  # fmt: skip
+def test_poles_that_do_not_fit_are_strange(share, misfit, within_s):
+    for seed in range(10):
+        strange = StrangePoles()
+        scans(strange, 30.0, 0.9, 1.5, seed)
+        said = scans(strange, 20.0, share, misfit, seed)
+        assert said[: int(11 * within_s)].any()
+        # and are no longer once they fit again
+        assert not scans(strange, 10.0, 0.95, 1.5, seed)[-1]
+
+
+def test_where_the_map_has_no_poles_none_is_strange():
+    assert not scans(StrangePoles(), 30.0, 0.0, 0.0, mapped=False).any()
+
+
+def test_a_restart_gives_half_the_benefit_of_the_doubt():
+    strange = StrangePoles()
+    scans(strange, 10.0, 0.0, 0.0)
+    assert strange.contradict
+    strange.forget()
+    assert not strange.contradict
+    assert scans(strange, 1.0, 0.0, 0.0).any()
