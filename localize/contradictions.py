@@ -122,12 +122,21 @@ class StrangePoles:
     _START_SHARE, _START_MISFIT = 0.75, 2.3
     _MISFIT_LEAST, _MISFIT_MOST = 1.7, 2.7
     _MEMORY_POLES = 100.0
+    # of a pole that is taken for its neighbour, in a pose that others hold too
+    _MISTAKEN_M = 0.4
     _LIMIT, _SETTLED, _MOST_SUM = 5.0, 1.0, 8.0
 
     def __init__(self) -> None:
         self._share, self._misfit = self._START_SHARE, self._START_MISFIT
         self._sum = 0.0
         self.contradict = False
+
+    @property
+    def map_sd_m(self) -> float:
+        """What the pose may be off by where the map is out of date: poles that are seen and not in
+        it have neighbours that are in it and are gone, and now and then one is taken for the other.
+        """
+        return self._MISTAKEN_M * max(0.0, self._MOST - self._share)
 
     def add_scan(
         self, matched: int, seen: int, misfit: float, share: float, *, mapped: bool

@@ -1,9 +1,9 @@
 """An hour without poles: how soon do the first ones bring the pose back?
 
 `python -m benchmarks.campaign.hour_without_poles [SECONDS] [SEED...]`. A car in town, half a minute
-of poles, then none for an hour of odometry and GNSS (2.5 m, Gauss-Markov), once with a detector that
-looks and finds nothing (twice a second) and once with one that is off; then poles again. Prints how
-far the output was off before, and after how long it stays within half a metre and healthy.
+of poles, then none for an hour of odometry and GNSS (2.5 m, Gauss-Markov), once with a detector
+that looks and finds nothing (twice a second) and once with one that is off; then poles again. It
+prints how far the output was off before, and after how long it is healthy and within half a metre.
 """
 
 from __future__ import annotations

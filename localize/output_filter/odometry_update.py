@@ -20,6 +20,8 @@ _STANDSTILL_MPS = 0.02
 _STANDSTILL_S, _STILL_TURN_RADPS = 0.5, 0.005
 # noise of a yaw rate whose speed is in doubt: it may come from the same wheels
 _DOUBTED_RADPS, _DOUBTED_SHARE = 0.02, 0.3
+# so long after the last pose on poles a doubted turn is better than none
+_ALONE_AFTER_S = 10.0
 REJECTIONS_MAX = 10
 """Samples in a row that may fail the gate; then odometry is believed. A fifth of a second at 50 Hz:
 longer than a slipping wheel at a kerb, shorter than the poses are kept waiting."""
@@ -67,12 +69,13 @@ def update_by_odometry(
             rw = (_DOUBTED_RADPS + _DOUBTED_SHARE * abs(rate)) ** 2
             mean, upper = update_by_two(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], rw)
     elif turn_doubted:
-        # a turn that no car takes, or that never changes: of some use beside the fixes
+        # a turn that no car takes, or that never changes: of some use where there are fixes only
         rejected = 1
         counts = counts._replace(odometry_doubted=counts.odometry_doubted + 1)
         mean, upper = update_by_two(mean, upper, row_v, dv, rv)
-        rw = (_DOUBTED_RADPS + _DOUBTED_SHARE * abs(rate)) ** 2
-        mean, upper = update_by_two(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], rw)
+        if stamp_s - state.held_s > _ALONE_AFTER_S:
+            rw = (_DOUBTED_RADPS + _DOUBTED_SHARE * abs(rate)) ** 2
+            mean, upper = update_by_two(mean, upper, _MOVING_RATE, rate - mean[4] - mean[6], rw)
     elif fails_gate(_pair_nis(upper, row_v, row_w, rv, rw, dv, dw), limit):
         rejected = state.odometry_rejected + 1
         counts = counts._replace(odometry_rejections=counts.odometry_rejections + 1)

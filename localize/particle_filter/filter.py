@@ -185,7 +185,11 @@ class ParticleFilter:
             if self._odometry.release(self._particles, arcs, before, after):
                 self._recovery.search.forget_poles()
             if self._recovery.proof.proven and self._particles.motion is None:
-                self._particles.faults.step(stamp - self._stamp_s, *demand(self._history, stamp))
+                self._particles.faults.step(
+                    stamp - self._stamp_s,
+                    *demand(self._history, stamp),
+                    suspect=self._odometry.suspect(stamp),
+                )
             self._particles.move_along(
                 arcs, self._noise.factors if self._recovery.proof.proven else np.ones(3)
             )
@@ -263,6 +267,9 @@ class ParticleFilter:
             spread = spread.copy()
             spread[:2, :2] += np.outer(twins, twins)
             major = float(np.hypot(major, np.hypot(*twins)))
+        if self._recovery.proof.proven:
+            spread = spread.copy()
+            spread[:2, :2] += self._recovery.strange.map_sd_m**2 * np.eye(2)
         fit = self._weigher.match(pose, scan, self._landmarks)
         self._recovery.lost.add_match(
             scan.stamp_s,
@@ -290,7 +297,7 @@ class ParticleFilter:
             )
             if strange.contradict and not before:
                 self.counts["poles_contradict"] += 1
-                self._recovery.proof.begin()
+                self._recovery.proof.doubt()
         unmatched |= strange.contradict
         opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
         settled = self._recovery.proof.proven and len(modes) == 1

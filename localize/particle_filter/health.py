@@ -120,19 +120,24 @@ class StartProof:
         self._config = config
         self._upheld_m = 0.0
         self._fitting = 1.0
-        self.proven = False
+        self.proven = self.was_proven = False
         self.contradicted = False
 
     def begin(self) -> None:
         """A new start: nothing is known."""
         self._upheld_m = 0.0
         self._fitting = 1.0
-        self.proven = self.contradicted = False
+        self.proven = self.was_proven = self.contradicted = False
+
+    def doubt(self) -> None:
+        """Poles contradict the place: it must be proven again."""
+        self._upheld_m = 0.0
+        self.proven = False
 
     def believe(self) -> None:
         """Somebody who should know has said where the car is."""
         self._fitting = 1.0
-        self.proven, self.contradicted = True, False
+        self.proven, self.was_proven, self.contradicted = True, True, False
 
     @property
     def in_doubt(self) -> bool:
@@ -173,6 +178,7 @@ class StartProof:
         elif possible > _HOPE:
             self._upheld_m = max(0.0, self._upheld_m - moved_m)
         self.proven |= verdict == "confirmed" or self._upheld_m >= PROVEN_AFTER_M
+        self.was_proven |= self.proven
 
 
 def not_offered(estimate: PfEstimate) -> str | None:

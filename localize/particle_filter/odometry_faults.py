@@ -20,11 +20,14 @@ Floats = NDArray[np.float64]
 
 # how often odometry turns faulty at an acceleration of so much and above, where tyres on a wet road
 # begin to slip; below it falls with the square, down to never in the easiest driving
-_TURNS_FAULTY_1PS, _HARD_MPS2, _EASY_MPS2 = 0.2, 1.5, 0.5
+_TURNS_FAULTY_1PS, _HARD_MPS2, _EASY_MPS2 = 0.2, 1.5, 0.7
 # how often it turns sound again: slipping lasts for some seconds
 _TURNS_SOUND_1PS = 0.3
 # errors while it is faulty, sd: of the speed as a share, of the yaw rate with a share of the turn
 _SPEED_SHARE, _RATE_RADPS, _TURN_SHARE = 0.15, 0.03, 0.4
+# an odometry that poles or fixes have contradicted lately is not trusted unseen: it turns faulty as
+# often as this in any case, and as wrong as a yaw rate of the other sign
+_SUSPECT_1PS, _SUSPECT_SPEED_SHARE, _SUSPECT_TURN_SHARE = 0.5, 0.3, 1.2
 # an acceleration is a change over this time; turns are remembered for so many of them
 _CHANGE_S, _REMEMBERED = 1.0, 2
 
@@ -57,16 +60,27 @@ class OdometryFaults:
         self.faulty = np.zeros(count, dtype=np.bool_)
         self.speed_share, self.rate_radps = np.zeros(count), np.zeros(count)
 
-    def step(self, dt_s: float, demand_mps2: float, turn_radps: float) -> None:
-        """Some turn faulty, some sound; see `demand` for the arguments."""
+    def step(
+        self, dt_s: float, demand_mps2: float, turn_radps: float, *, suspect: bool = False
+    ) -> None:
+        """Some turn faulty, some sound.
+
+        Args:
+            demand_mps2, turn_radps: see `demand`.
+            suspect: whether poles or fixes have contradicted the odometry lately.
+        """
         hard = (demand_mps2 - _EASY_MPS2) / (_HARD_MPS2 - _EASY_MPS2)
         often = _TURNS_FAULTY_1PS * min(1.0, max(0.0, hard)) ** 2
+        speed_sd, turn_share = _SPEED_SHARE, _TURN_SHARE
+        if suspect:
+            often = max(often, _SUSPECT_1PS)
+            speed_sd, turn_share = _SUSPECT_SPEED_SHARE, _SUSPECT_TURN_SHARE
         chance = self._rng.random(len(self.faulty))
         noise = self._rng.standard_normal((2, len(self.faulty)))
         begin = ~self.faulty & (chance < -np.expm1(-often * dt_s))
         end = self.faulty & (chance < -np.expm1(-_TURNS_SOUND_1PS * dt_s))
-        rate_sd = _RATE_RADPS + _TURN_SHARE * turn_radps
-        self.speed_share = np.where(begin, _SPEED_SHARE * noise[0], self.speed_share)
+        rate_sd = _RATE_RADPS + turn_share * turn_radps
+        self.speed_share = np.where(begin, speed_sd * noise[0], self.speed_share)
         self.rate_radps = np.where(begin, rate_sd * noise[1], self.rate_radps)
         self.faulty = (self.faulty | begin) & ~end
         self.speed_share = np.where(self.faulty, self.speed_share, 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ Floats = NDArray[np.float64]
 
 # of the particles, those that leave the odometry when it comes into doubt
 _FREE_SHARE = 0.5
+# how long odometry that was contradicted is not trusted unseen
+_FORGIVEN_S = 120.0
 # weight of the particles that hold it for wrong, and how long, until it is
 _FAULTY_SHARE, _FAULTY_S = 0.8, 0.3
 
@@ -39,6 +42,7 @@ class OdometryTrust:
         self._taken_back = self._confirmed = False
         self._innovations = PoleInnovations()
         self._agreement = OdometryAgreement()
+        self._refuted_s = -inf
         self._faults = OdometryAgreement(share=_FAULTY_SHARE, lasts_s=_FAULTY_S)
 
     def believed(self, sample: OdometrySample, held: Held | None) -> OdometrySample:
@@ -50,6 +54,8 @@ class OdometryTrust:
         """
         before, self._held = self._held, held
         self._sample = sample
+        if held is not None and not held.step_mps:
+            self._refuted_s = sample.stamp_s
         if held is None:
             # a step that was taken back was none: who followed it went wrong
             if before is not None and before.step_mps and not self._confirmed:
@@ -96,6 +102,10 @@ class OdometryTrust:
             self._agreement.forget()
             self._faults.forget()
         return was != self.doubted
+
+    def suspect(self, stamp_s: float) -> bool:
+        """Whether poles, fixes or turns that no car takes have contradicted it lately."""
+        return stamp_s - self._refuted_s < _FORGIVEN_S
 
     def add_correction(
         self,

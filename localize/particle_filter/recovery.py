@@ -131,7 +131,7 @@ class Recovery:
         """The poles of the last metres fit clearly better at another place."""
         if not self._restart(particles, _RESTART_SHARE, scan, odometry_pose):
             return None
-        if self.proof.proven:
+        if self.proof.was_proven:
             self.counts["reinitializations"] += 1
             return "reinitialized"
         self.counts["start_corrections"] += 1

@@ -1,4 +1,4 @@
-"""What odometry can do unseen: never on easy drives, within bounds on hard ones, and poles decide."""
+"""What odometry can do unseen: nothing on easy drives, within bounds on hard ones."""
 
 from __future__ import annotations
 
