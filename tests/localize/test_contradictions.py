@@ -287,3 +287,11 @@ def test_a_restart_gives_half_the_benefit_of_the_doubt():
     strange.forget()
     assert not strange.contradict
     assert scans(strange, 1.0, 0.0, 0.0).any()
+
+
+def test_a_map_that_is_out_of_date_makes_the_pose_less_sure():
+    fresh, aged = StrangePoles(), StrangePoles()
+    scans(fresh, 120.0, 0.97, 1.5)
+    scans(aged, 120.0, 0.6, 1.5)
+    assert fresh.map_sd_m == pytest.approx(0.0, abs=0.01)
+    assert aged.map_sd_m == pytest.approx(0.4 * (0.93 - 0.6), abs=0.04)

@@ -36,6 +36,7 @@ def test_a_filter_on_poles_is_trusted():
         ({"last_pose_s": NEVER}, "unproven"),
         ({"doubted": True}, "odometry_doubted"),
         ({"odometry_s": 9.4}, "odometry_silent"),
+        ({"last_pose_s": 4.9}, "unchecked"),
         ({"rival": Rival(9.4, (9.0, 0.0, 0.0), (0.0, 0.0, 0.0))}, "poses_rejected"),
         (
             {"held_s": 8.5, "gnss_rejected": 3, "gnss_rejected_since_s": 9.0},
@@ -147,3 +148,57 @@ def test_an_hour_of_fixes_and_odometry_alone_stays_where_it_is(route):
     assert abs(output.newest.mean[5]) < 0.09
     assert abs(output.newest.mean[6]) < 0.015
     assert output.newest.counts.gnss_restarts == 0
+
+
+def held_by_poles(fixes_off_m):
+    """Ten seconds of poles, then ten of fixes alone, which are off by so much."""
+    output = OutputFilter(OutputConfig())
+    reasons = []
+    for k in range(2000):
+        t = k / 100
+        if k % 2 == 0:
+            output.add_odometry(t, 5.0, 0.0)
+        if t < 10.0 and k % 10 == 0:
+            output.add_pose(t, np.array([5.0 * t, 0.0, 0.0]), np.diag([0.01, 0.01, 1e-4]))
+        if k % 50 == 0:
+            output.add_gnss(t, 5.0 * t + fixes_off_m(t), 0.0, 1.0)
+        state = output.newest
+        reasons.append(distrust(state, t, NARROW, HealthConfig()))
+    return output, reasons
+
+
+def test_fixes_that_failed_while_poles_held_are_no_evidence_later():
+    output, reasons = held_by_poles(lambda t: 60.0)
+    assert output.newest.gnss_wrong
+    assert "fixes_disagree" not in reasons
+    assert output.newest.counts.gnss_restarts == 0
+
+
+def test_fixes_that_come_right_are_heard_again():
+    output, _ = held_by_poles(lambda t: 60.0 if t < 3.0 else 0.0)
+    assert not output.newest.gnss_wrong
+
+
+def test_fixes_that_agreed_and_then_do_not_are_evidence_where_no_pole_is():
+    _, reasons = held_by_poles(lambda t: 0.0 if t < 12.0 else 60.0)
+    assert "fixes_disagree" in reasons
+
+
+def test_a_turn_in_doubt_leaves_the_speed_and_is_used_where_there_are_fixes_only():
+    def turning(held_s):
+        output = OutputFilter(OutputConfig())
+        output.add_pose(0.0, np.zeros(3), np.diag([0.01, 0.01, 1e-4]))
+        for k in range(1, 1600):
+            t = k / 50
+            if t < held_s and k % 10 == 0:
+                output.add_pose(t, np.array([5.0 * t, 0.0, 0.0]), np.diag([0.01, 0.01, 1e-4]))
+            late = t > 30.0
+            output.add_odometry(t, 6.0 if late else 5.0, 0.3 if late else 0.0, turn_doubted=late)
+        return output.newest
+
+    alone, held = turning(1.0), turning(30.0)
+    for state in (alone, held):
+        assert state.doubted
+        assert state.mean[3] == pytest.approx(6.0, abs=0.1)
+    assert alone.mean[4] == pytest.approx(0.3, abs=0.1)
+    assert abs(held.mean[4]) < 0.05

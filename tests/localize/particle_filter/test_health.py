@@ -136,3 +136,11 @@ def test_settings_are_checked() -> None:
         LocalizeConfig(p_detection=1.0)
     with pytest.raises(ValidationError, match="Extra inputs"):
         LocalizeConfig.model_validate({"particle": 10})
+
+
+def test_far_fixes_do_not_carry_off_a_pose_that_poles_hold() -> None:
+    lost = LostDetector(RecoveryConfig())
+    feed(lost, 0, 20, gnss_distance_sd=40.0, held=True)
+    assert not lost.astray
+    feed(lost, 20, 4, gnss_distance_sd=40.0, held=False)
+    assert lost.astray
