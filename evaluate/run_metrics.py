@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
 from polemap.evaluation.errors import accuracy
-from polemap.localize.localizer import PoseUpdate
+from polemap.localize.pose_queue import PoseUpdate
 from polemap.localize.replay import Run
 from polemap.vehicle.pose import rotate_back
 from polemap.vehicle.trajectory import Trajectory

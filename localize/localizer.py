@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import heapq
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import count
-from math import isfinite, nan
+from dataclasses import replace
+from math import isfinite
 from threading import Lock
 from typing import Protocol
 
@@ -28,11 +26,10 @@ from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
 from polemap.localize.output_filter.state import NEVER
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
-from polemap.localize.particle_filter.health import not_offered
+from polemap.localize.pose_queue import PoseQueue, PoseUpdate, count_dropped
 from polemap.localize.stage_times import StageTimes
 from polemap.localize.usable import usable_fix, usable_odometry, usable_poles
 from polemap.map.pole_map import PoleMap
-from polemap.vehicle.delay import Placement
 
 Floats = NDArray[np.float64]
 
@@ -49,25 +46,6 @@ class Perception(Protocol):
 
     def scan_frame(self, frame: StereoFrame, /) -> Detections:
         """The tracked poles of a frame, in the vehicle frame."""
-
-
-@dataclass(frozen=True, slots=True)
-class PoseUpdate:
-    """A pose of the particle filter and what became of it.
-
-    `decision`: "accepted", "ignored", "inflated", "vetoed", "reinitialized", "started",
-    "not_offered:REASON" or "dropped:REASON". `taken_s` is when the output filter got it, `nis` its
-    squared Mahalanobis distance there (three degrees of freedom; NaN where none was computed).
-    With a clock, `update_s` and `offer_s` are the time that the particle filter took to come to it
-    and the output filter to take it in.
-    """
-
-    estimate: PfEstimate
-    decision: str
-    taken_s: float
-    nis: float = nan
-    update_s: float = nan
-    offer_s: float = nan
 
 
 class Localizer:
@@ -112,24 +90,25 @@ class Localizer:
         self._limiter = OutputLimiter()
         self._health = config.health
         self._watch = OdometryWatch()
-        # what the particle filter said last; without one the output stands for itself
-        self._particles_healthy = True
         # what the particle filter has learned
         self._correction = OdometryCorrection()
-        self._slip_rad_per_mps2 = config.odometry.rear_slip_rad_per_mps2
         self._perception = perception
-        self._delay_s = processing_delay_s
-        self._on_update = on_update
         self._times = StageTimes(clock)
         self._computer_clock = ComputerClock()
         self._clocks = {name: StreamClock() for name in STREAMS}
         self._inbox: deque[tuple[OdometrySample | GnssFix, Held | None]] = deque(maxlen=20_000)
-        self._pending: list[tuple[float, int, PfEstimate, float]] = []
-        self._numbers = count()
         # the slow half (perception, particles) and the fast half (output filter) have a lock each
         self._slow, self._fast = Lock(), Lock()
         self.counts: Counter[str] = Counter()
         self.timings_s = self._times.seconds
+        self._poses = PoseQueue(
+            self._filter,
+            self.counts,
+            self._times,
+            processing_delay_s,
+            on_update,
+            config.odometry.rear_slip_rad_per_mps2,
+        )
 
     def add_sample(self, sample: Sample) -> PfEstimate | None:
         """Take a sample in; the particle filter's estimate if it led to one.
@@ -165,7 +144,7 @@ class Localizer:
         with self._fast:
             stamp = self._clocks["camera"].checked_stamp(estimate.stamp_s, estimate.arrival_s)
             if stamp is not None:
-                self._hold(replace(estimate, stamp_s=stamp), estimate.arrival_s)
+                self._poses.hold(replace(estimate, stamp_s=stamp), estimate.arrival_s)
 
     def start_at(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
         """Start from a known rear-axle pose `(3,)` with covariance `(3, 3)`.
@@ -196,7 +175,7 @@ class Localizer:
                 self.counts["asked_not_finite"] += 1
                 return None
             asked_s, stamp_s = stamp_s, stamp_s + self._computer_clock.correction_s
-            self._release(stamp_s)
+            self._poses.release(stamp_s)
             if not self._filter.started:
                 return None
             if stamp_s - self._filter.newest.stamp_s > OUTPUT_HOLE_S:
@@ -208,7 +187,7 @@ class Localizer:
             late = stamp_s <= self._limiter.last_stamp_s
             answer = self._limiter.unlimited(state) if late else self._limiter.limit(state)
             reason = distrust(state, stamp_s, answer.covariance, self._health)
-            if not reason and not self._particles_healthy:
+            if not reason and not self._poses.particles_healthy:
                 reason = "particle_filter"
             return replace(answer, stamp_s=asked_s, distrust=reason)
 
@@ -236,7 +215,7 @@ class Localizer:
                 self.counts["odometry_not_finite"] += 1
                 return
             held = self._watch.check(stamp, sample.speed_mps, sample.yaw_rate_radps)
-            self._release(sample.arrival_s)
+            self._poses.release(sample.arrival_s)
             with self._times.of("output_odometry"):
                 placed = self._filter.add_odometry(
                     stamp,
@@ -244,7 +223,7 @@ class Localizer:
                     doubted=held is not None and held.speed_doubted,
                     turn_doubted=held is not None and held.turn_doubted,
                 )
-            self._count("odometry", placed)
+            count_dropped(self.counts, "odometry", placed)
             if self._particle_filter is not None:
                 self._inbox.append((replace(sample, stamp_s=stamp), held))
 
@@ -256,9 +235,9 @@ class Localizer:
             if not usable_fix(fix.east_m, fix.north_m, fix.hdop):
                 self.counts["gnss_not_finite"] += 1
                 return
-            self._release(fix.arrival_s)
+            self._poses.release(fix.arrival_s)
             placed = self._filter.add_gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
-            self._count("gnss", placed)
+            count_dropped(self.counts, "gnss", placed)
             if self._filter.started:
                 state = self._filter.newest
                 # what fixes have started says nothing of odometry while poles may yet do so
@@ -268,58 +247,13 @@ class Localizer:
             if self._particle_filter is not None:
                 self._inbox.append((replace(fix, stamp_s=stamp), None))
 
-    def _count(self, stream: str, placed: Placement | None) -> None:
-        if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
-            self.counts[f"{stream}_{placed.value}"] += 1
-
-    def _hold(self, estimate: PfEstimate, arrival_s: float, update_s: float = nan) -> None:
-        """Keep a pose until it would have been computed."""
-        taken = arrival_s + self._delay_s
-        heapq.heappush(self._pending, (taken, next(self._numbers), estimate, update_s))
-        self._release(arrival_s)
-
-    def _release(self, now_s: float) -> None:
-        """Give the output filter the poses that have been computed by `now_s`."""
-        while self._pending and self._pending[0][0] <= now_s:
-            taken, _, estimate, update_s = heapq.heappop(self._pending)
-            verdict = self._offer(estimate)
-            if self._on_update is not None:
-                decision, nis, offer_s = verdict
-                self._on_update(PoseUpdate(estimate, decision, taken, nis, update_s, offer_s))
-
-    def _offer(self, estimate: PfEstimate) -> tuple[str, float, float]:
-        """Let the filter's health and then the gate decide; decision, NIS and time spent."""
-        self._particles_healthy = estimate.healthy
-        problem = usable_pose(estimate.stamp_s, estimate.pose, estimate.covariance)
-        if problem is not None:
-            self.counts[f"pose_{problem}"] += 1
-            return f"dropped:{problem}", nan, nan
-        reason = not_offered(estimate)
-        if reason is not None:
-            self.counts[f"not_offered_{reason}"] += 1
-            return f"not_offered:{reason}", nan, nan
-        with self._times.of("output_pose"):
-            placed = self._filter.add_pose(
-                estimate.stamp_s,
-                estimate.pose,
-                estimate.covariance,
-                self._slip_rad_per_mps2,
-                held=estimate.health.matched > 0,
-            )
-        if placed is Placement.TOO_OLD:
-            self.counts["late_dropped"] += 1
-        self._count("pose", placed)
-        if placed in (Placement.TOO_OLD, Placement.DUPLICATE):
-            return f"dropped:{placed.value}", nan, self._times.last_s("output_pose")
-        return *self._filter.decision_at(estimate.stamp_s), self._times.last_s("output_pose")
-
     # the slow half
 
     def _process_view(self, sample: Detections | StereoFrame) -> PfEstimate | None:
         assert self._particle_filter is not None
         with self._fast:
             stamp = self._clocks["camera"].checked_stamp(sample.stamp_s, sample.arrival_s)
-            self._release(sample.arrival_s)
+            self._poses.release(sample.arrival_s)
         with self._slow:
             self._empty_inbox(self._particle_filter)
             if stamp is None:
@@ -333,12 +267,12 @@ class Localizer:
         if estimate is None:
             return None
         with self._fast:
-            self._correction, self._slip_rad_per_mps2 = correction, slip_rad_per_mps2
+            self._correction, self._poses.slip_rad_per_mps2 = correction, slip_rad_per_mps2
             if estimate.odometry == "contradicted":
                 self._watch.contradict(estimate.stamp_s)
             elif estimate.odometry == "confirmed":
                 self._watch.confirm()
-            self._hold(estimate, sample.arrival_s, spent_s)
+            self._poses.hold(estimate, sample.arrival_s, spent_s)
         return estimate
 
     def _empty_inbox(self, particle_filter: ParticleFilter) -> None:

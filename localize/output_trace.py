@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.localizer import PoseUpdate
 from polemap.localize.output_filter.limiter import OutputPose
+from polemap.localize.pose_queue import PoseUpdate
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]

@@ -15,8 +15,9 @@ from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.config import LocalizeConfig, for_car
-from polemap.localize.localizer import OUTPUT_HOLE_S, Localizer, PoseUpdate
+from polemap.localize.localizer import OUTPUT_HOLE_S, Localizer
 from polemap.localize.output_trace import OutputTrace, particle_trajectory
+from polemap.localize.pose_queue import PoseUpdate
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from benchmarks.campaign.drives import TRUTH, Case, blind, case_of
 from polemap.simulate.config import DetectorConfig
-from polemap.simulate.points.drive import PointScenario, simulate_points
+from polemap.simulate.points.drive import PointScenario, gnss, simulate_points
 from polemap.simulate.points.motion import NO_SLIP, RATE_HZ, PointMotion, driven
 from polemap.simulate.points.poles import Poles
-from polemap.simulate.points.presets import gnss
 
 Floats = NDArray[np.float64]
 Layout = Literal["along the way", "grid", "rows"]

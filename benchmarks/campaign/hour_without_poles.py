@@ -18,9 +18,8 @@ from benchmarks.campaign.drives import TRUTH
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import replay
 from polemap.simulate.config import DetectorConfig
-from polemap.simulate.points.drive import PointScenario, simulate_points
+from polemap.simulate.points.drive import PointScenario, gnss, simulate_points
 from polemap.simulate.points.motion import CityTraffic, Slip
-from polemap.simulate.points.presets import gnss
 
 BEFORE_S, AFTER_S, RIGHT_M = 30.0, 40.0, 0.5
 _NOTHING = np.empty(0, dtype=np.int64)

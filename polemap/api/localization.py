@@ -14,6 +14,7 @@ from polemap.drivelog.errors import FrameError
 from polemap.localize import localizer as live
 from polemap.localize import replay as replays
 from polemap.localize.config import for_car
+from polemap.localize.pose_queue import PoseUpdate
 from polemap.map.pole_map import PoleMap
 from polemap.perception import scan_drive
 from polemap.settings import Settings
@@ -44,7 +45,7 @@ class Localizer(live.Localizer):
         settings: Settings | None = None,
         *,
         seed: int = 0,
-        on_update: Callable[[live.PoseUpdate], None] | None = None,
+        on_update: Callable[[PoseUpdate], None] | None = None,
     ) -> None:
         chosen = settings or Settings()
         if pole_map is not None and pole_map.frame != car.frame:

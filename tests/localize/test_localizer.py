@@ -202,7 +202,7 @@ def test_poses_whose_covariance_is_none_are_dropped(street):
             broken = replace(estimate, covariance=-np.eye(3))
             break
     assert broken is not None
-    assert localizer._offer(broken)[0] == "dropped:bad_covariance"
+    assert localizer._poses._offer(broken)[0] == "dropped:bad_covariance"
     assert localizer.summary()["pose_bad_covariance"] == 1
     after = localizer.pose_at(samples[599].arrival_s + 0.02)
     assert before is not None

@@ -21,9 +21,10 @@ from polemap.drivelog.live.pending import PendingFrame
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.drivelog.streams import GnssStream, OdometryStream
 from polemap.localize.config import for_car
-from polemap.localize.localizer import Localizer, PoseUpdate
+from polemap.localize.localizer import Localizer
 from polemap.localize.output_filter.limiter import OutputPose
 from polemap.localize.output_trace import OutputTrace, particle_trajectory
+from polemap.localize.pose_queue import PoseUpdate
 from polemap.localize.replay import Run
 from polemap.map.pole_map import PoleMap
 from polemap.perception import PolePerception
