@@ -23,8 +23,9 @@ Floats = NDArray[np.float64]
 _STEP_M = 2.0
 _WORST_M = 1.0
 _CELL_M = 50.0
-# a slim bar beside the map
-_BAR: dict[str, Any] = {"shrink": 0.5, "aspect": 30, "pad": 0.01}
+# slim bars below the map
+_BAR: dict[str, Any] = {"shrink": 0.9, "aspect": 50, "pad": 0.01}
+_LETTERS_PT, _WIDTH_IN, _MARGIN = 15, 9.0, 0.05
 
 
 def check_picture(path: Path | None) -> None:
@@ -110,35 +111,63 @@ def _density(axes: Any, points: Floats) -> Any:
 
 def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None:
     """Poles coloured by existence, sized by width; their density; routes by the lateral bound."""
+    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 8.5), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
     centre = pole_map.points_m.mean(axis=0).round() if pole_map.frame.is_utm else np.zeros(2)
-    shade = _density(axes, pole_map.points_m - centre)
-    figure.colorbar(shade, ax=axes, shrink=0.6, label="poles a hectare")
+    shown = [pole_map.points_m, *(part.poses[:, :2] for part in parts)]
+    low, high = _extent(np.concatenate(shown) - centre)
+    # the letters are to be read on a phone, where the picture is some seven centimetres wide
+    with mpl.rc_context({"font.size": _LETTERS_PT}):
+        figure = Figure(figsize=_size_in(low, high), dpi=110, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.add_subplot()
+        _draw(axes, figure, pole_map, parts, centre)
+        axes.set_aspect("equal")
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        with atomic_file(path) as target:
+            figure.savefig(target, format=path.suffix[1:].lower())
+
+
+def _extent(points_m: Floats) -> tuple[Floats, Floats]:
+    """Corners around what is drawn, with a margin; no side is less than a third of the other."""
+    low, high = points_m.min(axis=0), points_m.max(axis=0)
+    span = np.maximum(high - low, 1.0)
+    span = np.maximum(span * (1.0 + 2.0 * _MARGIN), span.max() / 3.0)
+    middle = 0.5 * (low + high)
+    return middle - 0.5 * span, middle + 0.5 * span
+
+
+def _size_in(low: Floats, high: Floats) -> tuple[float, float]:
+    """A figure in which the map fills its place, with the bars below it."""
+    east, north = high - low
+    return _WIDTH_IN, float(np.clip(_WIDTH_IN * north / east, 4.0, 14.0)) + 2.6
+
+
+def _draw(
+    axes: Any, figure: Any, pole_map: PoleMap, parts: list[Localizability], centre: Floats
+) -> None:
+    points = pole_map.points_m - centre
+    shade = _density(axes, points)
     for part in parts:
-        points = part.poses[:, :2] - centre
+        route_m = part.poses[:, :2] - centre
         bound = np.minimum(part.lateral_sd_m, _WORST_M)
         route = axes.scatter(
-            points[:, 0], points[:, 1], c=bound, cmap="RdYlGn_r", vmin=0.0, vmax=0.5, s=9, lw=0
+            route_m[:, 0], route_m[:, 1], c=bound, cmap="RdYlGn_r", vmin=0.0, vmax=0.5, s=14, lw=0
         )
-    if parts:
-        figure.colorbar(route, ax=axes, **_BAR, label="lateral bound of one look, 1 sd (m)")
-    points = pole_map.points_m - centre
     width = np.where(np.isfinite(pole_map.width_m), pole_map.width_m, 0.2)
     dots = axes.scatter(
         points[:, 0], points[:, 1], c=pole_map.existence, cmap="viridis", vmin=0.5, vmax=1.0,
-        s=12 + 60 * width, edgecolors="black", linewidths=0.4,
+        s=24 + 80 * width, edgecolors="black", linewidths=0.5,
     )  # fmt: skip
-    figure.colorbar(dots, ax=axes, **_BAR, label="existence of the pole")
-    axes.set_aspect("equal")
+    bars = [(dots, "existence of the pole"), (shade, "poles a hectare")]
+    bars += [(route, "lateral bound, 1 sd (m)")] if parts else []
+    for drawn, label in bars:
+        figure.colorbar(drawn, ax=axes, location="bottom", label=label, **_BAR)
     axes.grid(alpha=0.3)
     shift = f" - {centre[0]:.0f}" if centre.any() else ""
     axes.set_xlabel(f"east{shift} (m)")
     axes.set_ylabel(f"north - {centre[1]:.0f} (m)" if centre.any() else "north (m)")
     axes.set_title(f"{len(pole_map)} poles, {pole_map.frame}")
-    with atomic_file(path) as target:
-        figure.savefig(target, format=path.suffix[1:].lower())

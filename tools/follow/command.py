@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -79,7 +80,7 @@ def follow(asked: Asked) -> int:
         for note in (*followed.car.notes, *followed.notes):
             _say(f"note: {note}")
         with ExitStack() as stack:
-            send = _sender(asked, followed, pole_map, stack)
+            send = _sender(asked, followed, pole_map, stack, stop)
             engine.run(stop, send, _Watch(engine, followed))
         run, drive = engine.run_so_far()
         _finish(asked, run, drive, pole_map, followed)
@@ -100,14 +101,22 @@ def _map(path: Path | None, car: Drive) -> PoleMap | None:
 
 
 def _sender(
-    asked: Asked, followed: Followed, pole_map: PoleMap | None, stack: ExitStack
+    asked: Asked, followed: Followed, pole_map: PoleMap | None, stack: ExitStack, stop: Event
 ) -> Callable[[Tick], None]:
     frame = followed.car.frame
     if asked.serve is None:
 
         def write(tick: Tick) -> None:
-            sys.stdout.write(tick_line(tick, frame))
-            sys.stdout.flush()
+            if stop.is_set():
+                return
+            try:
+                sys.stdout.write(tick_line(tick, frame))
+                sys.stdout.flush()
+            except OSError as error:
+                # what is still in the buffer would be tried, and complained about, once more
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+                _say(f"stdout cannot be written any more ({error.strerror}): ending")
+                stop.set()
 
         return write
     from polemap.tools.follow.server import FoxgloveServer

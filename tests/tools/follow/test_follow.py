@@ -166,6 +166,23 @@ def test_ctrl_c_ends_with_the_summary(street: Path, tmp_path: Path) -> None:
     assert "Traceback" not in said
 
 
+def test_a_reader_that_goes_away_costs_no_run(street: Path, tmp_path: Path) -> None:
+    resting = tmp_path / "resting.mcap"
+    resting.write_bytes((street / "d.mcap").read_bytes()[:-4000])
+    words = command(resting, "--without-poles", "--out", tmp_path / "run", "--idle", "20", *FEW)
+    process = subprocess.Popen(
+        words, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.readline()
+    process.stdout.close()
+    said = process.stderr.read()
+    assert process.wait(timeout=60) == cli.GOOD
+    assert "stdout cannot be written any more" in said
+    assert (tmp_path / "run" / "kf.tum").stat().st_size > 0
+
+
 def test_a_resting_file_ends_where_that_is_asked_for(
     street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
