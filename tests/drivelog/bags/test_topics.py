@@ -670,3 +670,65 @@ def test_a_topic_of_two_types_is_read_as_the_first_and_said(tmp_path: Path) -> N
     drive = open_drive(path)
     assert drive.odometry is not None
     assert len(drive.odometry) == COUNT
+
+
+def test_a_stream_of_which_nothing_can_be_used_is_an_error(opened: Opened) -> None:
+    drive = opened(twists(speed=float("nan")), poses())
+    assert drive.odometry is None
+    (finding,) = drive.findings
+    assert (finding.kind, finding.severity) == ("rows_left_out", "error")
+    assert "none of its 12 messages" in finding.value
+    assert drive.problems["odometry_not_finite"] == COUNT
+
+
+@pytest.mark.parametrize(
+    ("place", "mapping", "remedy"),
+    [
+        ([89.0, 10.0], {}, "degrees of WGS84"),
+        ([48.0, 11.0], {"frame": {"kind": "local", "name": "yard"}}, "a frame of kind utm"),
+    ],
+)
+def test_fixes_that_fit_no_zone_or_frame_are_told(
+    place: list[float], mapping: dict[str, Any], remedy: str, opened: Opened
+) -> None:
+    drive = opened(fixes(place=np.array(place)), twists(), **mapping)
+    assert drive.gnss is None
+    (finding,) = drive.findings
+    assert remedy in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ("kind", "make"),
+    [
+        ("geometry_msgs/msg/Twist", lambda _: ROS.twist(5.0, 0.1)),
+        (
+            "geometry_msgs/msg/TwistWithCovarianceStamped",
+            lambda stamp: ROS.make(
+                "geometry_msgs/msg/TwistWithCovarianceStamped",
+                ROS.header(stamp, "base_link"),
+                ROS.make(
+                    "geometry_msgs/msg/TwistWithCovariance", ROS.twist(5.0, 0.1), np.zeros(36)
+                ),
+            ),
+        ),
+    ],
+)
+def test_every_kind_of_twist_gives_speed_and_yaw_rate(
+    kind: str, make: Callable[[int], Any], opened: Opened
+) -> None:
+    drive = opened(stream("/vehicle/twist", kind, lambda stamp, _: make(stamp)))
+    assert drive.odometry is not None
+    np.testing.assert_array_equal(drive.odometry.speed_mps, 5.0)
+    np.testing.assert_array_equal(drive.odometry.yaw_rate_radps, 0.1)
+
+
+def test_a_speed_as_one_number_takes_the_yaw_rate_of_an_imu(opened: Opened) -> None:
+    kind = "std_msgs/msg/Float64"
+    speeds = stream("/speed", kind, lambda _s, _r: ROS.make(kind, 36.0))
+    speed = {"topic": "/speed", "unit": "km/h"}
+    drive = opened(speeds, imus(), odometry={"speed": speed, "yaw_rate": {"topic": "/imu/data"}})
+    assert drive.odometry is not None
+    np.testing.assert_allclose(drive.odometry.speed_mps, 10.0)
+    assert drive.problems["odometry_without_yaw_rate"] == 1  # after the last of the IMU
+    with pytest.raises(InputError, match="have no yaw rate; name its topic"):
+        opened(speeds, odometry={"speed": speed})
