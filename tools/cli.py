@@ -134,6 +134,8 @@ def run(arguments: Sequence[str]) -> int:
         if code is None:
             raise
         return _interrupted(code)
+    finally:
+        interrupts.finished()
 
 
 def _words(arguments: Sequence[str]) -> Sequence[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Event
@@ -15,10 +16,14 @@ from polemap.drivelog.processes import end_children
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 _SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 _received: list[int] = []
+_LOOK_AGAIN_S = 0.2
 
 
 class Stopped(BaseException):
     """A signal asked the command to end; passes through `except Exception`."""
+
+
+_raised: list[weakref.ref[Stopped]] = []
 
 
 def install() -> None:
@@ -35,7 +40,40 @@ def _stop(number: int, _frame: FrameType | None) -> None:
         os._exit(128 + number)
     _received.append(number)
     end_children()
-    raise Stopped(signal.Signals(number).name)
+    _raise(number)
+
+
+def _raise(number: int) -> None:
+    """Raise `Stopped`, and look from time to time whether it is on its way.
+
+    Some libraries swallow whatever is raised while they are imported. As long as the exception
+    unwinds the stack, what is tidied up on the way included, it is alive; once it is gone without
+    an end of the command, it is raised anew.
+
+    Raises:
+        Stopped: always.
+    """
+    stopped = Stopped(signal.Signals(number).name)
+    _raised[:] = [weakref.ref(stopped)]
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, _look_again)
+        signal.setitimer(signal.ITIMER_REAL, _LOOK_AGAIN_S, _LOOK_AGAIN_S)
+    try:
+        raise stopped
+    finally:
+        del stopped  # the frame in its own traceback would keep it alive
+
+
+def _look_again(_number: int, _frame: FrameType | None) -> None:
+    if _raised and _raised[0]() is None:
+        _raise(_received[0])
+
+
+def finished() -> None:
+    """The command has ended: nothing is raised any more."""
+    if _raised and hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+    _raised.clear()
 
 
 @contextmanager

@@ -160,3 +160,63 @@ def test_a_disk_that_is_full_costs_one_line(ending: str, tmp_path: Path) -> None
     assert done.stderr.count("\n") == 1
     assert out.read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.gpkg", out.name]
+
+
+SWALLOWING = """
+import sys, time
+from polemap.tools import cli, interrupts
+
+def command() -> None:
+    try:
+        print("at work", flush=True)
+        time.sleep(60)
+    except:  # noqa: E722, as some libraries do while they are imported
+        pass
+    print("swallowed", flush=True)
+    time.sleep(60)
+
+cli.VERBS["swallow"] = ("swallow", "x")
+cli.import_module = lambda _: type("Verb", (), {"command": staticmethod(command)})
+sys.argv = ["polemap", "swallow"]
+cli.main()
+"""
+
+
+def test_an_interrupt_that_a_library_swallows_comes_again() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", SWALLOWING],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "at work\n"
+        process.send_signal(signal.SIGINT)
+        said, error = process.communicate(timeout=30)
+    assert said == "swallowed\n"
+    assert process.returncode == 130
+    assert error == "polemap: interrupted; nothing half-written stays under a final name\n"
+
+
+@needs_proc
+def test_a_simulation_ends_in_one_line(tmp_path: Path) -> None:
+    words = ["simulate", "park_loop", "--out", str(tmp_path / "out"), "--laps", "9"]
+    with subprocess.Popen(
+        [*POLEMAP, *words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as process:
+        deadline = time.monotonic() + 60.0
+        while not list(tmp_path.glob(".*.part")) and process.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGINT)
+        _, error = process.communicate(timeout=30)
+    assert process.returncode == 130, error
+    assert error == "polemap: interrupted; nothing half-written stays under a final name\n"
+    assert list(tmp_path.iterdir()) == []
+    wait_until_gone(process.pid)
