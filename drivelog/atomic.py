@@ -164,11 +164,11 @@ def atomic_folder(
 
 @contextmanager
 def _place_of_full_disks(path: Path) -> Iterator[None]:
-    """An error of a stream that is being written names no file; the result's name is put in."""
+    """Errors of a full disk name no file, or a temporary one: the result's name is put in."""
     try:
         yield
     except OSError as error:
-        if error.filename is None and error.errno in _DISK_ERRORS:
+        if error.errno in _DISK_ERRORS:
             error.filename = str(path)
         raise
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -154,8 +155,15 @@ def _interrupted(code: int) -> int:
 def _system_error(error: OSError) -> str:
     """What the system said, with the file that it was about."""
     names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    if not names and _was_printing(error):
+        names = ["stdout"]
     reason = error.strerror or str(error) or type(error).__name__
     return f"{' to '.join(names) or 'reading or writing failed'}: {reason}"
+
+
+def _was_printing(error: OSError) -> bool:
+    """Whether the error came out of printing: such an error names no file."""
+    return any(frame.name == "echo" for frame in traceback.extract_tb(error.__traceback__))
 
 
 def _complain(message: str) -> int:
@@ -179,7 +187,7 @@ def shortened(message: str) -> str:
 
 def _note(message: Warning | str, *_where: object, **_rest: object) -> None:
     """A warning as one line, without the place in the code that raised it."""
-    sys.stderr.write(f"polemap: note: {' '.join(str(message).split())}\n")
+    sys.stderr.write(f"polemap: {shortened('note: ' + ' '.join(str(message).split()))}\n")
 
 
 def _open_standard_streams() -> None:

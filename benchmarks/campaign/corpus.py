@@ -25,6 +25,8 @@ from polemap.drivelog.readers.bags.describe import describe_topics
 from polemap.drivelog.readers.bags.describe import write_mapping as write_topics
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
+from polemap.electric.comma2k19.io import FILES as COMMA_FILES
+from polemap.electric.comma2k19.io import read_comma2k19
 from polemap.electric.io import read_mapping, read_signal_log
 from polemap.evaluation.runs.io import read_run_set
 from polemap.map.io import export_map, read_map, write_map
@@ -83,6 +85,7 @@ def make_corpus(folder: Path) -> list[Kind]:
     _runs(folder, add)
     _settings(folder, add)
     _logs(folder, add)
+    _segment(folder, add)
     _caches(folder, add)
     return kinds
 
@@ -246,6 +249,31 @@ def _logs(folder: Path, add: Add) -> None:
     parquet = folder / "log.parquet"
     pd.DataFrame({"stamp_s": [0.0, 0.1, 0.2], "vx_mps": [1.0, 2.0, 3.0]}).to_parquet(parquet)
     add("log.parquet", parquet, lambda: read_signal_log(parquet))
+
+
+def _segment(folder: Path, add: Add) -> None:
+    """A comma2k19 folder: a car that drives straight on to the north for half a minute."""
+    place = folder / "segment"
+    place.mkdir()
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 30.0, 0.1)
+    zero, speed = np.zeros(len(t)), 10.0 + np.sin(t)
+    columns = {
+        "accelerometer": (np.cos(t), zero, zero - 9.8),
+        "gyro": (zero, zero, 0.01 * rng.standard_normal(len(t))),
+        "wheel_speed": 4 * (speed,),
+        "steering": (np.sin(t),),
+        "gnss": (speed, zero, 1.5e12 + 1e3 * t),
+        # on the equator at longitude 0 the earth's axis points north
+        "reference": (zero, zero, speed, zero + 0.5**0.5, zero, zero - 0.5**0.5, zero),
+    }
+    for name, values in columns.items():
+        table = pd.DataFrame({"stamp_s": t, **dict(zip(COMMA_FILES[name], values, strict=True))})
+        if name == "reference":
+            table = table.assign(ecef_x_m=6_378_137.0, ecef_y_m=0.0, ecef_z_m=0.0)
+        table.to_csv(place / f"{name}.csv", index=False)
+    for file in sorted(place.iterdir()):
+        add(f"comma2k19/{file.name}", file, lambda: read_comma2k19(place, 15.0))
 
 
 def _caches(folder: Path, add: Add) -> None:

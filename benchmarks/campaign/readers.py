@@ -2,7 +2,8 @@
 
 Every input is a valid file with a few changes. A reader may return or raise a `PolemapError`;
 anything else is a finding, as are a hang (over ten seconds), a crash of the process, and memory
-beyond two gigabytes. Inputs are tried in a child process, so that a crash costs one input.
+beyond two gigabytes. Inputs are tried in a child process, so that a crash costs one input. With
+`--atheris KIND` the coverage of the reader guides the changes instead.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
-from types import FrameType
+from types import FrameType, FunctionType
 from typing import Any
 
 from benchmarks.campaign.corpus import Kind, make_corpus
@@ -209,6 +211,43 @@ def _write(
     write_results(out, document)
 
 
+def _functions(*packages: str) -> list[FunctionType]:
+    """Functions and methods of what is imported of some packages: all of Python takes minutes."""
+    found: list[FunctionType] = []
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] not in packages:
+            continue
+        for value in list(vars(module).values()):
+            inside = vars(value).values() if isinstance(value, type) else [value]
+            found += [
+                one for one in inside if isinstance(one, FunctionType) and one.__module__ == name
+            ]
+    return found
+
+
+def guided(name: str, seconds: int) -> None:
+    """Let atheris drive one reader; it ends the process with a traceback at the first finding."""
+    atheris: Any = import_module("atheris")
+    for function in _functions("polemap", "yaml"):
+        atheris.instrument_func(function)
+    place = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    _limited()
+    kind = next(kind for kind in make_corpus(place) if name in kind.name)
+    seeds = place / "seeds"
+    seeds.mkdir()
+    (seeds / "valid").write_bytes(kind.seed)
+
+    def one_input(data: bytes) -> None:
+        wrong = attempt(kind, data)
+        if wrong is not None:
+            raise RuntimeError(f"{kind.name}: {wrong}")
+
+    atheris.Setup(
+        [sys.argv[0], str(seeds), f"-max_total_time={seconds}", "-rss_limit_mb=6000"], one_input
+    )
+    atheris.Fuzz()
+
+
 def main() -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -216,7 +255,11 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("readers.json"))
     parser.add_argument("--only", help="kinds whose name holds this")
+    parser.add_argument("--atheris", metavar="KIND", help="guide by coverage instead")
     chosen = parser.parse_args()
+    if chosen.atheris:
+        guided(chosen.atheris, int(chosen.seconds))
+        return 0
     return 1 if campaign(chosen.seconds, chosen.seed, chosen.out, chosen.only) else 0
 
 

@@ -24,11 +24,13 @@ def real_target(path: Path, *, folder: bool) -> Path:
 
     Raises:
         OutputError: something stands there that is neither a file nor a folder, or a folder where
-            a file is to be written, or a file where a folder is, or links that lead in a circle.
+            a file is to be written, or a file where a folder is, or links that lead in a circle, or
+            what it is to stand in is no folder.
     """
     try:
         state = os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
+        _check_above(path)
         return Path(os.path.realpath(path))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -43,6 +45,15 @@ def real_target(path: Path, *, folder: bool) -> Path:
     if not folder and stat.S_ISDIR(state.st_mode):
         raise OutputError(f"{path}: is a folder, a file is to be written there")
     return Path(os.path.realpath(path))
+
+
+def _check_above(path: Path) -> None:
+    """The nearest thing above a path that exists must be a folder."""
+    for parent in Path(path).parents:
+        if os.path.lexists(parent):
+            if not parent.is_dir():
+                raise OutputError(f"{path}: cannot be written ({parent} is no folder)")
+            return
 
 
 def check_not_an_input(out: Path, inputs: Iterable[Path | str | None]) -> None:

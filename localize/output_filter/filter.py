@@ -57,6 +57,9 @@ _NO_LEVER_ARM, _CAR = GnssReceiver(), NoiseModel()
 # order of events of one stamp
 _ODOMETRY, _GNSS, _RESTART, _POSE = 0, 1, 2, 3
 
+# a day later the car may be anywhere; a spread that grows on loses its covariance to rounding
+_PREDICTED_MAX_S = 86_400.0
+
 
 class OutputFilter:
     """CTRV EKF with exact out-of-sequence replay.
@@ -186,7 +189,7 @@ class OutputFilter:
             VehicleError: the filter has not started.
         """
         state = self._buffer.state_at(stamp_s)
-        dt = stamp_s - state.stamp_s
+        dt = min(stamp_s - state.stamp_s, _PREDICTED_MAX_S)
         if dt <= 0.0:
             return state
         mean, upper = ctrv_predict(
@@ -198,7 +201,7 @@ class OutputFilter:
 
     def _apply(self, state: FilterState, stamp_s: float, event: Event) -> FilterState:
         mean, upper = state.mean, state.upper
-        dt = stamp_s - state.stamp_s
+        dt = min(stamp_s - state.stamp_s, _PREDICTED_MAX_S)
         if dt > 0.0:
             mean, upper = ctrv_predict(mean, upper, dt, self._noise, state.slip_rad_per_mps2)
         if isinstance(event, OdometryEvent):

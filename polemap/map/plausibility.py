@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
+from polemap.drivelog.frames import EarthFrame, geographic_from_grid, grid_from_geographic
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -70,15 +71,36 @@ def check_map_of_drive(pole_map: PoleMap, drive: Drive) -> list[Finding]:
         distance = np.asarray(tree.query(thinned)[0])
         near = float(np.percentile(distance, 20))
         if near > _FAR_M:
+            zone = _zone_of(pole_map, thinned)
             return [
                 Finding(
                     "map_far", "error", "map",
-                    f"the nearest pole is {_metres(near)} from {name}",
-                    f"within {_FAR_M:.0f} m", "use a map of this place, in this drive's frame",
+                    f"the nearest pole is {_metres(near)} from {name}"
+                    + (f"; they agree if {name} is in EPSG:{zone}" if zone else ""),
+                    f"within {_FAR_M:.0f} m",
+                    f"write epsg {zone} in drive.yaml" if zone
+                    else "use a map of this place, in this drive's frame",
                 )
             ]  # fmt: skip
         return []
     return []
+
+
+def _zone_of(pole_map: PoleMap, places: Floats) -> int | None:
+    """The UTM zone in whose coordinates the places lie in the map, None if none does."""
+    own = pole_map.frame.epsg
+    if own is None or own // 100 not in (326, 327):
+        return None
+    for zone in (own - 1, own + 1, own - 2, own + 2, own + 100, own - 100):
+        if not (1 <= zone % 100 <= 60 and zone // 100 in (326, 327)):
+            continue
+        geographic = geographic_from_grid(EarthFrame("utm", zone), places)
+        moved = grid_from_geographic(pole_map.frame, geographic[:, 0], geographic[:, 1])
+        if pole_map.tree is None or not np.isfinite(moved).all():
+            continue
+        if np.percentile(np.asarray(pole_map.tree.query(moved)[0]), 20) < _FAR_M:
+            return zone
+    return None
 
 
 def _places(drive: Drive) -> list[tuple[str, Floats]]:

@@ -129,7 +129,7 @@ def test_a_full_stdout_is_told_in_one_line(street: Path) -> None:
         done = run(["info", street / "map.gpkg"], stdout=full)
     assert done.returncode == cli.USER_ERROR
     assert done.stderr.count("\n") == 1
-    assert "No space left on device" in done.stderr
+    assert done.stderr == "polemap: stdout: No space left on device\n"
 
 
 def test_closed_standard_streams_are_no_obstacle(street: Path, tmp_path: Path) -> None:

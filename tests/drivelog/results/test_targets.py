@@ -10,6 +10,7 @@ import pytest
 
 from polemap.drivelog.atomic import atomic_file, atomic_folder, check_files, check_folder
 from polemap.drivelog.errors import OutputError
+from polemap.drivelog.results.targets import real_target
 
 
 @pytest.fixture
@@ -106,3 +107,12 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
         part.write_text("new")
     assert (tmp_path / "link.csv").is_symlink()
     assert (tmp_path / "real.csv").read_text() == "new"
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_a_place_below_what_is_no_folder_is_refused(tmp_path: Path, folder: bool) -> None:
+    (tmp_path / "file").write_text("x")
+    for inside in ("file/out.gpkg", "file/deep/er/out.gpkg"):
+        with pytest.raises(OutputError, match="file is no folder"):
+            real_target(tmp_path / inside, folder=folder)
+    assert real_target(tmp_path / "a" / "b" / "out", folder=folder).name == "out"

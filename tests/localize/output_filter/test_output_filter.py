@@ -263,6 +263,23 @@ def test_odometry_before_the_first_pose_is_not_lost():
     assert output.newest.mean[0] == pytest.approx(0.8, abs=0.01)
 
 
+@pytest.mark.parametrize("days", [1.0, 100.0, 1e4])
+def test_a_gap_of_days_leaves_a_covariance_that_can_be_used(days):
+    output = OutputFilter(OutputConfig())
+    stamps = [0.02 * step for step in range(50)]
+    output.add_pose(0.0, np.zeros(3), START)
+    for stamp in stamps:
+        output.add_odometry(stamp, 9.0, 0.1)
+    ahead = output.predicted_to(86_400.0 * days)
+    assert np.all(np.linalg.eigvalsh(unpack(ahead.upper)[:2, :2]) > 0.0)
+    for stamp in stamps:
+        output.add_odometry(86_400.0 * days + stamp, 9.0, 0.1)
+    output.add_pose(86_400.0 * days + 1.0, np.array([50.0, 20.0, 1.0]), START)
+    covariance = unpack(output.newest.upper)
+    assert np.isfinite(covariance).all()
+    assert np.all(np.diag(covariance) > 0.0)
+
+
 def test_use_before_a_start_is_refused():
     with pytest.raises(VehicleError, match="holds no state"):
         OutputFilter(OutputConfig()).predicted_to(1.0)

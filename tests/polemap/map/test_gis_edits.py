@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +18,13 @@ import pytest
 import shapely
 from pyarrow import parquet
 
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.drivelog.streams import ReferenceStream
 from polemap.map.formats.osm import from_xml
 from polemap.map.io import read_map, write_map
-from polemap.map.plausibility import check_map
+from polemap.map.plausibility import check_map, check_map_of_drive
 from polemap.map.pole_map import PoleMap
 from tests.pole_maps import plain_map
 
@@ -289,3 +294,44 @@ def test_widths_that_no_pole_has_are_found(factor: float) -> None:
     width = np.full(10, 0.2)
     assert check_map(make_map(points, width_m=width)) == []
     assert [f.severity for f in check_map(make_map(points, width_m=factor * width))] == ["error"]
+
+
+def _without_layer(path: Path, layer: str) -> Path:
+    """The layer's table is gone, its row in the contents stays."""
+    out = path.with_name(f"no_{layer}.gpkg")
+    shutil.copy(path, out)
+    with closing(sqlite3.connect(out)) as database, database:
+        database.execute(f"DROP TABLE {layer}")
+    return out
+
+
+def test_a_layer_that_is_gone_is_said_once_and_doubtful_poles_are_no_map(
+    tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    points = np.array([388_500.0, 5_819_500.0]) + 20.0 * np.arange(8.0).reshape(4, 2)
+    frame = EarthFrame("utm", 32633)
+    pole_map = make_map(points, frame=frame, doubtful=make_map(points[:1] + 5.0, frame=frame))
+    write_map(pole_map, tmp_path / "m.gpkg")
+    left = read_map(_without_layer(tmp_path / "m.gpkg", "doubtful"))
+    assert len(left) == 4
+    assert len([note for note in left.notes if "doubtful" in note]) == 1
+    assert not recwarn.list
+    with pytest.raises(InputError, match="'poles' is missing, 'doubtful' alone is no map"):
+        read_map(_without_layer(tmp_path / "m.gpkg", "poles"))
+
+
+@pytest.mark.parametrize("zone", [32632, 32634, 32631])
+def test_a_drive_in_another_zone_than_its_map_is_told_which(zone: int) -> None:
+    points = np.array([388_500.0, 5_819_500.0]) + 20.0 * np.arange(40.0).reshape(20, 2)
+    pole_map = make_map(points, frame=EarthFrame("utm", 32633))
+    poses = np.column_stack([points, np.zeros(len(points))])
+    stamps = np.arange(20.0)
+    reference = ReferenceStream(stamps, poses, np.full(20, np.nan))
+    drive = Drive("d", Path("d"), EarthFrame("utm", zone), 2.7, reference=reference)
+    (found,) = check_map_of_drive(pole_map.to_frame(drive.frame), drive)
+    assert (found.kind, found.severity) == ("map_far", "error")
+    assert found.remedy == "write epsg 32633 in drive.yaml"
+    right = replace(drive, frame=pole_map.frame)
+    assert check_map_of_drive(pole_map, right) == []
+    far = replace(right, reference=replace(reference, poses=poses + np.array([5e4, 0, 0])))
+    assert "use a map of this place" in check_map_of_drive(pole_map, far)[0].remedy

@@ -74,17 +74,30 @@ def read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
         if file.read(len(_SQLITE)) != _SQLITE:
             # the library would look for any other format that it knows, and follow what that names
             raise InputError(f"{path}: not a GeoPackage (no SQLite database)")
+    with warnings.catch_warnings(record=True) as warned:
+        # the library says the same for every time that it opens the file
+        warnings.simplefilter("always")
+        pole_map = _read_layers(path, frame)
+    said = tuple(dict.fromkeys(" ".join(str(one.message).split())[:200] for one in warned))
+    return replace(pole_map, notes=(*pole_map.notes, *said))
+
+
+def _read_layers(path: Path, frame: EarthFrame | None) -> PoleMap:
     try:
         # tables without geometry (styles, say) are no layers of poles
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-        layer = LAYER if LAYER in layers else layers[0]
+        if layers == [DOUBTFUL]:
+            raise InputError(
+                f"{path}: the layer '{LAYER}' is missing, '{DOUBTFUL}' alone is no map; restore it"
+            )
+        layer = LAYER if LAYER in layers else next(name for name in layers if name != DOUBTFUL)
         if layer != LAYER or DOUBTFUL not in layers:
             return _read_layer(path, layer, frame)
         doubtful = _read_layer(path, DOUBTFUL, frame)
         next_id = int(doubtful.ids.max()) + 1 if len(doubtful) else 0
         pole_map = _read_layer(path, layer, frame, next_id)
         return replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, IndexError) as error:
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, StopIteration) as error:
         raise InputError(f"{path}: not a GeoPackage with a layer of points ({error})") from error
 
 
