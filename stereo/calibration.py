@@ -14,6 +14,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.parsing.pictures import LARGEST_PIXELS
 from polemap.stereo.errors import StereoError
 
 Floats = NDArray[np.float64]
@@ -63,6 +64,20 @@ def check_rotation(name: str, rotation: Floats) -> None:
         raise StereoError(f"{name} mirrors (its determinant is -1), it is no rotation matrix")
 
 
+def check_picture_size(what: str, width_px: int, height_px: int) -> None:
+    """Refuses a size that no picture has: maps are made of it before one is read.
+
+    Raises:
+        StereoError: empty, or larger than any picture that is read.
+    """
+    if width_px < 1 or height_px < 1:
+        raise StereoError(f"{what} size {width_px}x{height_px} px is empty")
+    if width_px * height_px > LARGEST_PIXELS:
+        raise StereoError(
+            f"{what} size {width_px}x{height_px} px: {LARGEST_PIXELS} pixels are the most"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class CameraCalibration:
     """A raw camera: `(3, 3)` matrix in pixels, and its lens.
@@ -94,8 +109,7 @@ class CameraCalibration:
             )
         if not np.isfinite(self.coefficients).all():
             raise StereoError(f"lens coefficients {list(self.coefficients)} are not all finite")
-        if self.width_px < 1 or self.height_px < 1:
-            raise StereoError(f"camera size {self.width_px}x{self.height_px} px is empty")
+        check_picture_size("camera", self.width_px, self.height_px)
         self._check_matrix()
 
     def _check_matrix(self) -> None:
@@ -154,8 +168,7 @@ class Rectification:
                 f"the rectified camera has focal length {self.focal_px} and principal point "
                 f"{self.cx_px}, {self.cy_px}"
             )
-        if self.width_px < 1 or self.height_px < 1:
-            raise StereoError(f"rectified size {self.width_px}x{self.height_px} px is empty")
+        check_picture_size("rectified", self.width_px, self.height_px)
 
 
 @dataclass(frozen=True, slots=True)

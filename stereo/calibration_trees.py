@@ -16,6 +16,7 @@ from polemap.stereo.calibration import (
     Rectification,
     StereoCalibration,
     camera_info,
+    check_rotation,
     lens_model,
     of_camera_infos,
 )
@@ -170,7 +171,7 @@ def _size(tree: Tree, stated: Stated) -> tuple[int, int]:
         raise StereoError(
             f"{error}: state the pictures' size, width_px and height_px, beside the calibration"
         ) from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise StereoError("the image size holds no whole numbers") from error
 
 
@@ -192,6 +193,7 @@ def of_kalibr(tree: Tree, stated: Stated) -> StereoCalibration:
     from_first = {names[0]: np.eye(4)}
     for before, name in pairwise(names):
         step = numbers(f"{name}.T_cn_cnm1", tree[name].get("T_cn_cnm1"), 16).reshape(4, 4)
+        check_rotation(f"the rotation in {name}.T_cn_cnm1", step[:3, :3])
         from_first[name] = step @ from_first[before]
     left, right = (_kalibr_camera(name, tree[name], stated) for name in chosen)
     move = from_first[chosen[1]] @ np.linalg.inv(from_first[chosen[0]])

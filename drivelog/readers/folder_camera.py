@@ -7,8 +7,11 @@ from pathlib import Path
 
 from polemap.drivelog.drive import FrameSource
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.images import ImagePairs, RectifiedPairs
+from polemap.drivelog.images import LARGEST_BYTES, ImagePairs, RectifiedPairs
 from polemap.drivelog.readers.drive_yaml import CameraPart, MountingPart, RawCameraPart
+from polemap.parsing.errors import named
+from polemap.parsing.pictures import check_size
+from polemap.parsing.text import read_bytes
 from polemap.stereo.calibration_trees import Stated
 from polemap.stereo.errors import StereoError
 from polemap.stereo.io import read_calibration
@@ -59,7 +62,20 @@ class FolderCamera:
             return images
         images = ImagePairs(paths, self.rectifier.raw_size_px, self.bits)
         images.check_exist()
+        if paths:
+            self._check_size(paths[0][0])
         return RectifiedPairs(images, self.rectifier)
+
+    def _check_size(self, path: Path) -> None:
+        """The first picture already tells whether the calibration is for another size."""
+        with named(path, InputError, "image"):
+            size = check_size(read_bytes(path, LARGEST_BYTES))
+        wanted = self.rectifier.raw_size_px if self.rectifier else size
+        if size != wanted:
+            raise InputError(
+                f"{path}: {size[0]}x{size[1]} pixels, but {self.calibration} is for "
+                f"{wanted[0]}x{wanted[1]}: calibrate for these pictures, or scale the calibration"
+            )
 
 
 def read_camera(
