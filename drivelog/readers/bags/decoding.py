@@ -12,6 +12,7 @@ from typing import Any
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.bags.container import Channel
 from polemap.drivelog.readers.bags.types import canonical
+from polemap.errors import PolemapError
 from polemap.extras import need
 from polemap.parsing.errors import short
 
@@ -56,7 +57,7 @@ def _decoder_of(channel: Channel) -> Decode:
             return _ros(channel)
         if channel.encoding == "protobuf":
             return _protobuf(channel)
-    except InputError:
+    except PolemapError:
         raise
     except Exception as error:
         # the parsers of definitions raise what their grammars raise

@@ -15,6 +15,7 @@ from polemap.drivelog.readers.bags.index import LogIndex, Topic
 from polemap.drivelog.readers.bags.pictures import grey
 from polemap.drivelog.readers.bags.signals import Signals
 from polemap.drivelog.samples import Image
+from polemap.errors import PolemapError
 from polemap.parsing.errors import named
 
 Floats = NDArray[np.float64]
@@ -87,7 +88,7 @@ def decode_picture(channel: Channel, data: bytes, place: str) -> object:
     """
     try:
         return decoder_of(channel)(data)
-    except InputError:
+    except PolemapError:
         raise
     except Exception as error:  # generated code raises what it raises
         raise InputError(f"{place}: damaged message ({type(error).__name__}: {error})") from error

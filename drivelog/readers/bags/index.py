@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.bags.container import (
     HEAD_BYTES,
     NOTHING,
@@ -34,6 +33,7 @@ from polemap.drivelog.readers.bags.decoding import (
 from polemap.drivelog.readers.bags.fields import COLUMNS, Extract, by_path, extract_of
 from polemap.drivelog.readers.bags.transforms import TransformTree, transforms_of
 from polemap.drivelog.readers.bags.types import Kind, kind_of
+from polemap.errors import PolemapError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -246,7 +246,7 @@ class _Builder:
             self._decode(way, way.decode, message, file)
         except Exception as error:
             # libraries raise what their generated code raises; a message is no reason to stop
-            if isinstance(error, MemoryError | InputError):
+            if isinstance(error, MemoryError | PolemapError):
                 raise
             topic.undecodable += 1
             topic.reason = topic.reason or f"{type(error).__name__}: {error}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import struct
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -15,7 +16,9 @@ from rosbags.typesys import Stores
 
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.bags import decoding, reader
 from polemap.drivelog.readers.bags.container import LARGEST_CHUNK, decompress
+from polemap.extras import MissingExtraError
 from tests.drivelog.bags.recordings import (
     Ros,
     ros_messages,
@@ -214,3 +217,29 @@ def test_a_log_that_changes_under_the_drive_is_told(logs: Path, tmp_path: Path) 
 def test_a_chunk_that_is_none_is_told(compression: str, size: int, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         decompress(b"no chunk", compression, size, "chunk at byte 7")
+
+
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [
+        ("plain.bag", "rosbags"),
+        ("lz4.bag", "lz4"),
+        ("zstd.mcap", "zstandard"),
+        ("plain.mcap", "mcap"),
+        ("plain.mcap", "rosbags"),
+        ("two", "rosbags"),
+    ],
+)
+def test_a_package_that_is_missing_is_named(
+    name: str, module: str, logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader.forget()
+    decoding._decoder_of.cache_clear()
+    for loaded in list(sys.modules):
+        if loaded == module or loaded.startswith(f"{module}."):
+            monkeypatch.delitem(sys.modules, loaded)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf"needs {module}.*pip install 'polemap.bags.'"):
+        open_drive(logs / name)
+    reader.forget()
+    decoding._decoder_of.cache_clear()
