@@ -169,6 +169,9 @@ def test_the_page_opens_with_the_verdict_and_its_tables_can_be_saved(report: Pat
     # on a phone every cell stands under its column's name
     cells, labels = text.count("<td "), text.count("<td data-label=")
     assert cells == labels > 0
+    # a head that is only hidden from the eye still widens the page
+    assert "thead { display: none; }" in text
+    assert text.count('<div class="scroll"><table>') == text.count("<table>")
     content = json.loads((report / "report.json").read_text())
     assert set(content["verdicts"]) == set(content["routes"])
 
