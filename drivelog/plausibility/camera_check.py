@@ -20,6 +20,8 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.features import Grey, follow_rows
 from polemap.drivelog.plausibility.odometer import Odometer, of_odometry, of_reference
 from polemap.stereo.rig import StereoRig
+from polemap.vehicle.pose import rotate
+from polemap.vehicle.pose import rotation as plane_rotation
 
 Floats = NDArray[np.float64]
 
@@ -112,11 +114,8 @@ def see_motion(drive: Drive, row: int, matches: StereoMatches) -> SeenMotion | N
     moved = turned @ (-rotation.T @ shift)
     stamps = drive.frame_stamps_s
     way, turn, _ = (float(v[0]) for v in motion.spans(stamps[[row]], stamps[[row + 1]]))
-    cos, sin = np.cos(turn), np.sin(turn)
-    lever = np.array(
-        [(cos - 1.0) * place[0] - sin * place[1], sin * place[0] + (cos - 1.0) * place[1]]
-    )
-    expected = way * np.array([np.cos(turn / 2.0), np.sin(turn / 2.0)]) + lever
+    lever = (plane_rotation(turn) - np.eye(2)) @ place[:2]
+    expected = rotate([way, 0.0], turn / 2.0) + lever
     length = float(np.hypot(*expected))
     if length < _WAY_M[0] / 2.0 or not np.isfinite(moved).all():
         return None

@@ -21,7 +21,7 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer
 from polemap.drivelog.plausibility.poles import ScanPairs, find_pairs
 from polemap.vehicle.motion import move_along_arc
-from polemap.vehicle.pose import rotate_back
+from polemap.vehicle.pose import rotate_back, rotation
 
 Floats = NDArray[np.float64]
 
@@ -92,19 +92,11 @@ def find_place(pairs: ScanPairs, motion: Odometer) -> DetectorPlace | None:
     back = rotate_back(moves[:, :2], turn)
     elapsed = second.stamp_s - first.stamp_s
     ay = way * turn / elapsed**2
-    cos, sin = np.cos(turn), np.sin(turn)
     left = np.stack([-back[:, 1], back[:, 0]], axis=1)
     # R(-turn) - I, and the columns of yaw, scale and slip
-    jacobian = np.stack(
-        [
-            np.stack([cos - 1.0, -sin], axis=1),
-            np.stack([sin, cos - 1.0], axis=1),
-            left,
-            -back,
-            -left * ay[:, None],
-        ],
-        axis=2,
-    )
+    by_place = rotation(-turn) - np.eye(2)
+    by_rest = np.stack([left, -back, -left * ay[:, None]], axis=2)
+    jacobian = np.concatenate([by_place, by_rest], axis=2)
     moved = rotate_back(first.points_m - moves[:, None, :2], turn[:, None])
     # sharper than a car turns, the motion is no measurement
     steps = np.diff(motion.heading_rad) / np.maximum(np.diff(motion.stamp_s), 1e-3)
