@@ -11,6 +11,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.logs.column_parts import Stamps, Value, Where
 from polemap.drivelog.logs.log_files import CsvLog, LogFile
 from polemap.drivelog.logs.mapping import TEXTS
+from polemap.drivelog.logs.marks import is_number
 from polemap.drivelog.logs.table import Cells, Numbers, Parser, Values, number_parser, text_parser
 from polemap.drivelog.logs.times import gps_stamps, number_unit, text_reader
 from polemap.drivelog.logs.units import DEGREES_AND_MINUTES, factor, units_for
@@ -32,10 +33,14 @@ def stamps_wanted(log: LogFile, stamps: Stamps) -> tuple[tuple[int, ...], Parser
         return indices, text_parser
     samples = _joined_samples(log, indices)
     number = number_parser(layout, "the stamp")
-    numeric = bool(samples) and _all_numbers(number, samples)
+    numbers = [s for s in samples if is_number(s, layout.decimal)]
+    # a word among numbers is a cell to be told of, not a time of day
+    numeric = 2 * len(numbers) > len(samples)
     if len(indices) == 1 and stamps.format is None and (numeric or not samples):
         size = number_unit(
-            stamps, log.unit(indices[0], "stamp_s"), [abs(v) for v in _numbers(number, samples)]
+            stamps,
+            log.unit(indices[0], "stamp_s"),
+            np.asarray(number([numbers], range(len(numbers))), dtype=np.float64),
         )
         if not stamps.uses_gps:
             return indices, lambda cells, lines: number(cells, lines) * size + stamps.offset
@@ -74,17 +79,6 @@ def stamps_wanted(log: LogFile, stamps: Stamps) -> tuple[tuple[int, ...], Parser
 def _joined_samples(log: LogFile, indices: Sequence[int]) -> list[str]:
     columns = [log.samples(index) for index in indices]
     return [" ".join(row) for row in zip(*columns, strict=False)]
-
-
-def _numbers(parse: Numbers, samples: Sequence[str]) -> Floats:
-    return np.asarray(parse([samples], range(len(samples))), dtype=np.float64)
-
-
-def _all_numbers(parse: Numbers, samples: Sequence[str]) -> bool:
-    try:
-        return bool(np.isfinite(_numbers(parse, samples)).any())
-    except InputError:
-        return False
 
 
 def membership(log: LogFile, where: Where) -> tuple[tuple[int, ...], Parser]:

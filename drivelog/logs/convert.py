@@ -150,6 +150,13 @@ def convert_logs(
     if gathered.errors:
         raise gathered.error(mapping.place)
     rows = {key: found for key, found in streams.items() if found is not None}
+    for key, one in rows.items():
+        if not len(one.columns["stamp_s"]):
+            lost = ", ".join(f"{count} {why}" for why, count in one.dropped.items())
+            raise InputError(
+                f"{mapping.place}: {key}: none of {one.rows_read} rows can be used "
+                f"({lost or 'the log is empty'}); mend its columns, or delete the section"
+            )
     pictures = _pictures(rows, logs, parts)
     head = {"format_version": 1, "name": name, **mapping.drive}
     if wheelbase_m is not None:

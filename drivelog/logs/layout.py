@@ -121,7 +121,7 @@ def find_layout(path: Path, given: FormatPart) -> Layout:
         missing=missing,
         drop_bad_lines=given.bad_lines == "drop",
         says=", ".join(says),
-        rows=tuple(tuple(cells) for _, cells in rows[:20]),
+        rows=tuple(tuple(cells) for _, cells in rows if len(cells) >= width)[:20],
     )
 
 

@@ -101,7 +101,7 @@ def gps_stamps(seconds: Floats, weeks: Floats | None, leap_seconds: int) -> Floa
     return np.asarray(weeks * _WEEK_S + seconds + GPS_EPOCH_S - leap_seconds)
 
 
-def number_unit(stamps: Stamps, header_unit: str | None, cells: Sequence[float]) -> float:
+def number_unit(stamps: Stamps, header_unit: str | None, cells: Floats) -> float:
     """Seconds in the unit of a column of numbers.
 
     Raises:

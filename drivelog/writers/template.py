@@ -18,6 +18,7 @@ from polemap.drivelog.readers.drive_yaml import (
     DetectorPart,
     DriveYaml,
     MountingPart,
+    OdometryPart,
 )
 
 CHOOSE = "CHOOSE"
@@ -94,6 +95,8 @@ def _drive_yaml(
     camera.append("  vehicle_from_camera:  # the left camera, from the rear axle on the ground")
     camera += [f"  {line}" for line in _keys(MountingPart)]
     lines += camera if "frames" in sensors else _commented(camera)
+    correction = ["odometry:  # what `polemap calibrate` finds", *_keys(OdometryPart)]
+    lines += _commented(correction)
     lines += _commented(["gnss_antenna:", *_keys(AntennaPart)])
     detector = ["pole_detector:  # of poles.csv", *_keys(DetectorPart)]
     lines += _commented(detector)
@@ -104,11 +107,18 @@ def _drive_yaml(
 
 
 def _keys(model: type[BaseModel], skip: str = "") -> list[str]:
-    return [
-        f"  {name}: {CHOOSE if field.is_required() else field.default}  # {_explained(model, name)}"
-        for name, field in model.model_fields.items()
-        if name != skip
-    ]
+    lines = []
+    for name, field in model.model_fields.items():
+        if name == skip:
+            continue
+        explained = _explained(model, name)
+        if field.is_required():
+            lines.append(f"  {name}: {CHOOSE}  # {explained}")
+        elif field.default is None:
+            lines.append(f"  # {name}: {(field.examples or [''])[0]}  # {explained}")
+        else:
+            lines.append(f"  {name}: {field.default}  # {explained}")
+    return lines
 
 
 def _explained(model: type[BaseModel], name: str) -> str:

@@ -93,6 +93,11 @@ ASKED = [
     ("t,v,r\n0,1,0\n1,one,0\n2,1,0\n", {}, ["line 3: speed_mps is 'one'", "missing: ['one']"]),
     ("t,v,r\n0,1_0,0\n", {}, ["speed_mps is '1_0'"]),
     ('t,v,r\n0,"1,0\n', {}, ["what separates", "separator: ','"]),
+    ("t,v,r\n0,1,0\nOFF,1,0\n2,1,0\n", {}, ["line 3: the stamp is 'OFF'", "missing: ['OFF']"]),
+    ("t;v;r\n0;1;0\n1,1,0\n2;1;0\n3;1;0\n", {}, ["line 3: 1 cells under 3 columns"]),
+    # nothing is left
+    ("t,v,r\n0,nan,0\n1,nan,0\n", {}, ["none of 2 rows can be used (2 speed_mps not given)"]),
+    ("t,v,r\n", {}, ["none of 0 rows can be used (the log is empty)"]),
     # files
     ("", {}, ["empty file"]),
     ("\n\n# nothing\n", {}, ["holds no rows"]),
