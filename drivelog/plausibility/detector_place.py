@@ -32,8 +32,8 @@ _GATES_M = (2.0, 2.0, 1.5, 1.0, 0.7, 0.7)
 # x, y of the frame (m), its yaw (rad), scale of the speed, slip (rad per m/s2)
 _PRIOR_SD = np.array([3.0, 3.0, 0.3, 0.05, 0.004])
 # clean drives against the reference: within 0.25 m and 0.5 degrees, but for what their sd allows;
-# against an odometry from encoder and steering, within 0.8 m and 1.9 degrees
-_DOUBT = {True: (0.5, 0.5, np.radians(2.0)), False: (1.2, 1.2, np.radians(4.0))}
+# against an odometry from encoder and steering, within 1.5 m and 1.9 degrees
+_DOUBT = {True: (0.5, 0.5, np.radians(2.0)), False: (2.0, 2.0, np.radians(5.0))}
 _SDS = 5.0
 
 

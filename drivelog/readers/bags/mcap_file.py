@@ -117,6 +117,9 @@ class _Walker:
             return
         _, _, size, crc, name_length = _CHUNK_HEAD.unpack(head)
         rest = file.read(min(name_length, 64) + 8)
+        if len(rest) < 8:
+            self._damaged(at, "too short")
+            return
         compression = rest[:-8].decode("utf-8", "replace")
         (stored,) = struct.unpack("<Q", rest[-8:])
         start = at + _CHUNK_HEAD.size + len(rest)

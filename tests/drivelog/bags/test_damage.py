@@ -243,3 +243,24 @@ def test_a_package_that_is_missing_is_named(
         open_drive(logs / name)
     reader.forget()
     decoding._decoder_of.cache_clear()
+
+
+@pytest.mark.parametrize("left", [0, 3, 7, 11])
+def test_a_recording_that_ends_in_the_head_of_a_chunk_is_read_as_far_as_it_goes(
+    left: int, logs: Path, tmp_path: Path
+) -> None:
+    whole = (logs / "plain.mcap").read_bytes()
+    at, chunks = 8, []
+    while at + 9 < len(whole) - 8:
+        code, length = struct.unpack_from("<BQ", whole, at)
+        if code == 6:
+            chunks.append(at)
+        at += 9 + length
+    # the third chunk says that it ends with times, size and checksum, and a part of the rest
+    path = tmp_path / "cut.mcap"
+    start = chunks[2] + 9
+    short = struct.pack("<BQ", 6, 32 + left) + whole[start : start + 32 + left]
+    path.write_bytes(whole[: chunks[2]] + short)
+    drive = open_drive(path)
+    assert 0 < stamps(drive) < stamps(open_drive(logs / "plain.mcap"))
+    assert "log_damaged" in [finding.kind for finding in drive.findings]

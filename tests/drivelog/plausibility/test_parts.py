@@ -144,11 +144,11 @@ def test_a_round_earlier_is_no_other_clock() -> None:
 def test_a_detector_mounted_elsewhere_is_noticed(
     clean: Drive, x_m: float, y_m: float, yaw_deg: float, said: str, reference: bool
 ) -> None:
-    scale = 1.0 if reference else 1.8
+    scale = 1.0 if reference else 2.5
     place, yaw = scale * np.array([x_m, y_m]), scale * np.radians(yaw_deg)
     moved = with_points(clean, lambda points: rotate_back(points - place, yaw))
     if not reference:
-        moved, said = replace(moved, reference=None), said.replace("5.", "9.")
+        moved, said = replace(moved, reference=None), said.replace("5.", "12.")
     found = _only(moved)
     assert found.kind == "pole_mounting"
     assert said in found.value

@@ -19,7 +19,7 @@ from polemap.map.formats import qgis
 from polemap.map.formats.columns import to_columns
 from polemap.map.formats.layers import map_from_layer
 from polemap.map.pole_map import PoleMap
-from polemap.parsing.errors import ParsingError
+from polemap.parsing.errors import ParsingError, short
 from polemap.parsing.json_text import parse_json
 
 _SQLITE = b"SQLite format 3\0"
@@ -98,7 +98,9 @@ def _read_layers(path: Path, frame: EarthFrame | None) -> PoleMap:
         pole_map = _read_layer(path, layer, frame, next_id)
         return replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, StopIteration) as error:
-        raise InputError(f"{path}: not a GeoPackage with a layer of points ({error})") from error
+        raise InputError(
+            f"{path}: not a GeoPackage with a layer of points ({short(error)})"
+        ) from error
 
 
 def _read_layer(path: Path, layer: str, frame: EarthFrame | None, next_id: int = 0) -> PoleMap:
