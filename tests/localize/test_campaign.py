@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.campaign import contradictions
+from benchmarks.campaign.car_parks import hard_car_park
 from benchmarks.campaign.drives import car_park, street
 from benchmarks.campaign.faults import KINDS, twice
+from benchmarks.campaign.held_out import HELD_OUT
 from benchmarks.campaign.judge import stretches
 
 
@@ -62,3 +64,31 @@ def test_the_drives_are_what_they_claim() -> None:
     doubled = twice(street(0).pole_map, 1.0, 0.3, 0.0)
     half = len(doubled) // 2
     assert np.allclose(np.hypot(*(doubled.points_m[half:] - doubled.points_m[:half]).T), 1.0)
+
+
+def test_a_hard_car_park_stops_turns_tightly_and_goes_back() -> None:
+    case = hard_car_park(0, "grid")
+    odometry = case.drive.odometry
+    assert odometry is not None
+    assert odometry.speed_mps.min() < -0.5
+    assert odometry.speed_mps.max() < 3.0
+    assert (np.abs(odometry.speed_mps) < 0.2).mean() > 0.05
+    moving = np.abs(odometry.speed_mps) > 1.0
+    bend = np.abs(odometry.yaw_rate_radps[moving] / odometry.speed_mps[moving])
+    assert np.quantile(bend, 0.95) > 0.15
+    # poles repeat themselves: most have a neighbour a grid's step away
+    points = case.pole_map.points_m
+    step = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+    assert (np.abs(step - 8.0) < 0.5).any(axis=1).mean() > 0.8
+
+
+def test_held_out_kinds_are_others_and_can_be_made() -> None:
+    assert not set(HELD_OUT) & set(KINDS)
+    for name in ("every scan twice", "odometry held back by 0.5 s for 8 s"):
+        faulty = HELD_OUT[name](0)
+        plain = street(0)
+        changed = len(faulty.case.scans) != len(plain.scans)
+        odometry, sound = faulty.case.drive.odometry, plain.drive.odometry
+        assert odometry is not None
+        assert sound is not None
+        assert changed or not np.array_equal(odometry.speed_mps, sound.speed_mps)
