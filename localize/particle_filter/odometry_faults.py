@@ -53,10 +53,12 @@ class OdometryFaults:
         faulty: those for which it is wrong.
         speed_share, rate_radps: the error of its speed, as a share of it, and of its yaw rate;
             zero for the others.
+        expected: share of the faulty if nothing but chance decides.
     """
 
     def __init__(self, count: int, rng: np.random.Generator) -> None:
         self._rng = rng
+        self.expected = 0.0
         self.faulty = np.zeros(count, dtype=np.bool_)
         self.speed_share, self.rate_radps = np.zeros(count), np.zeros(count)
 
@@ -75,6 +77,8 @@ class OdometryFaults:
         if suspect:
             often = max(often, _SUSPECT_1PS)
             speed_sd, turn_share = _SUSPECT_SPEED_SHARE, _SUSPECT_TURN_SHARE
+        self.expected += dt_s * (often * (1.0 - self.expected) - _TURNS_SOUND_1PS * self.expected)
+        self.expected = min(max(self.expected, 0.0), 1.0)
         chance = self._rng.random(len(self.faulty))
         noise = self._rng.standard_normal((2, len(self.faulty)))
         begin = ~self.faulty & (chance < -np.expm1(-often * dt_s))

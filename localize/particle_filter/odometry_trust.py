@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 _FREE_SHARE = 0.5
 # how long odometry that was contradicted is not trusted unseen
 _FORGIVEN_S = 120.0
-# weight of the particles that hold it for wrong, and how long, until it is
-_FAULTY_SHARE, _FAULTY_S = 0.8, 0.3
+# weight of the particles that hold it for wrong, the Bayes factor, and how long, until it is
+_FAULTY_SHARE, _EVIDENCE, _FAULTY_S = 0.8, 5.0, 0.3
 
 
 class OdometryTrust:
@@ -122,7 +122,8 @@ class OdometryTrust:
     def opinion(self, particles: ParticleSet, matched: int, elapsed_s: float) -> Opinion | None:
         """What poles say of the odometry after a scan; None where they do not know."""
         if not self.doubted:
-            faulty = self._faults.confirm(particles.faulty_share, matched, elapsed_s)
+            share = particles.faulty_share if particles.fault_evidence > _EVIDENCE else 0.0
+            faulty = self._faults.confirm(share, matched, elapsed_s)
             return "contradicted" if self._refuted or faulty else None
         if self._silent:
             return None

@@ -23,6 +23,8 @@ _RESAMPLE_BELOW = 0.5
 _SLIP_SD_RAD_PER_MPS2 = 0.0015
 # log-weight of a particle that followed an odometry that took it back
 _DROPPED = -5.0
+# where hardly any particle should be faulty, a few are no evidence
+_LEAST_EXPECTED = 0.02
 # what odometry may be wrong by, along and in yaw, over a way on which no pole was found
 _ASTRAY_M, _ASTRAY_SHARE, _ASTRAY_RADPM, _ASTRAY_MAX_RAD = 0.3, 0.08, 0.015, 0.25
 # kernel that parts survivors of one particle, as a share of the spread (Liu and West 2001)
@@ -105,6 +107,13 @@ class ParticleSet:
     def faulty_share(self) -> float:
         """Weight of the particles that hold the odometry for wrong."""
         return float(self.weights[self.faults.faulty].sum())
+
+    @property
+    def fault_evidence(self) -> float:
+        """Bayes factor of an odometry that is wrong: odds of the faulty against those of chance."""
+        share, expected = self.faulty_share, self.faults.expected
+        odds = share / max(1.0 - share, 1e-9)
+        return odds * (1.0 - expected) / max(expected, _LEAST_EXPECTED)
 
     def scatter(self, share: float, way_m: float) -> None:
         """Put a share of them where odometry that was wrong over so long a way may have led to."""

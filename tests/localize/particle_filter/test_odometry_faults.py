@@ -50,6 +50,7 @@ def test_easy_driving_makes_none_faulty_and_hard_driving_a_bounded_share():
         shares.append(faults.faulty.mean())
     assert shares[9] == pytest.approx(0.2, abs=0.04)  # after a second about 1 - exp(-0.2)
     assert shares[-1] == pytest.approx(0.4, abs=0.02)  # turns faulty 0.2 a second, sound 0.3
+    assert faults.expected == pytest.approx(0.4, abs=0.02)
     assert faults.speed_share[faults.faulty].std() == pytest.approx(0.15, rel=0.05)
     assert faults.rate_radps[faults.faulty].std() == pytest.approx(0.03 + 0.4 * 0.2, rel=0.05)
     assert not faults.speed_share[~faults.faulty].any()
@@ -97,3 +98,15 @@ def test_poles_that_match_nothing_send_half_of_the_particles_around():
     aside = -np.sin(1.0) * offset[:, 0] + np.cos(1.0) * offset[:, 1]
     assert np.corrcoef(aside, offset[:, 2])[0, 1] > 0.95
     assert offset[:, 2].std() == pytest.approx(0.25, rel=0.1)
+
+
+def test_what_chance_makes_faulty_is_no_evidence():
+    particles = ParticleSet(LocalizeConfig(particles=5000), 2.7, np.random.default_rng(3))
+    particles.place_all(np.zeros((5000, 3)), np.zeros(5000))
+    for _ in range(300):
+        particles.faults.step(0.1, 5.0, 0.2, suspect=True)
+    assert particles.faulty_share == pytest.approx(0.5 / 0.8, abs=0.03)
+    assert particles.fault_evidence == pytest.approx(1.0, abs=0.15)
+    # poles that favour the faulty by a factor are evidence of that factor
+    particles.log_weights = np.where(particles.faults.faulty, np.log(20.0), 0.0)
+    assert particles.fault_evidence == pytest.approx(20.0, rel=0.15)
