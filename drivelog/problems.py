@@ -84,6 +84,8 @@ def validation_mistakes(
 def _mistake(problem: Any, model: type[BaseModel], prefix: str) -> str:
     # in brackets stand names of pydantic's own
     loc = [p for p in problem["loc"] if not str(p).startswith(("function-", "<"))]
+    if problem["type"] == "extra_forbidden" and loc[-1:] != [problem["loc"][-1]]:
+        loc.append(problem["loc"][-1])  # a key of the user's that looks like such a name
     place = (prefix + ".".join(str(part) for part in loc)).rstrip(".") or "top level"
     home, help_text = _described(model, loc)
     if problem["type"] == "extra_forbidden":

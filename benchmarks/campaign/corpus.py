@@ -6,7 +6,8 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
+from operator import xor
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from polemap.detect.models.io import read_classifier, write_classifier
 from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.images import read_grey
+from polemap.drivelog.logs.convert import convert_logs
+from polemap.drivelog.logs.mapping import LogMapping, read_log_mapping
 from polemap.drivelog.readers.bags import reader as log_reader
 from polemap.drivelog.readers.bags.describe import describe_topics
 from polemap.drivelog.readers.bags.describe import write_mapping as write_topics
@@ -35,11 +38,18 @@ from polemap.parsing.arrays import read_arrays
 from polemap.settings import load_settings
 from polemap.simulate.kitti_raw_layout import write_kitti_raw
 from polemap.simulate.scenario import load_scenario
-from polemap.stereo.io import read_kitti_calibration
+from polemap.stereo.io import read_calibration, read_kitti_calibration
 from polemap.tools.detection_cache import read_scans
 from polemap.vehicle.io import dump_car, load_car
 from tests.drivelog.bags import recordings
 from tests.drivelog.drives import write_small
+from tests.stereo.calibrations import (
+    make_calibration,
+    opencv_values,
+    write_kalibr,
+    write_kitti,
+    write_opencv,
+)
 
 FRAME = EarthFrame("utm", 32632)
 
@@ -85,6 +95,8 @@ def make_corpus(folder: Path) -> list[Kind]:
     _runs(folder, add)
     _settings(folder, add)
     _logs(folder, add)
+    _logger(folder, add)
+    _calibrations(folder, add)
     _segment(folder, add)
     _caches(folder, add)
     return kinds
@@ -249,6 +261,58 @@ def _logs(folder: Path, add: Add) -> None:
     parquet = folder / "log.parquet"
     pd.DataFrame({"stamp_s": [0.0, 0.1, 0.2], "vx_mps": [1.0, 2.0, 3.0]}).to_parquet(parquet)
     add("log.parquet", parquet, lambda: read_signal_log(parquet))
+
+
+def _logger(folder: Path, add: Add) -> None:
+    """What `polemap convert` reads: a logger's CSV with its mapping, NMEA, GPX."""
+    can, names = folder / "can.csv", folder / "names.yaml"
+    can.write_text(
+        "Time [ms];v [km/h];gz;note\n0;36,0;1,5;a\n20;36,5;1,4;b\n40;37,0;1,3;c\n60;37,5;1,2;d\n"
+    )
+    names.write_text(
+        "drive: {vehicle: {wheelbase_m: 2.7}, frame: {kind: local, name: x}}\nodometry:\n"
+        "  stamp_s: {column: 'Time [ms]', unit: ms}\n"
+        "  speed_mps: {column: 'v [km/h]', unit: km/h}\n"
+        "  yaw_rate_radps: {column: gz, unit: deg/s, turn: clockwise}\n"
+    )
+
+    def convert() -> None:
+        convert_logs([can], read_log_mapping(names, ()), name="x")
+
+    add("logger/can.csv", can, convert)
+    add("logger/names.yaml", names, convert)
+    nmea, gpx = folder / "gps.nmea", folder / "track.gpx"
+    sentences = (
+        "GPRMC,120000.00,A,4807.0380,N,01131.0000,E,022.4,084.4,010524,,,A",
+        "GPGGA,120000.00,4807.0380,N,01131.0000,E,1,08,0.9,545.4,M,46.9,M,,",
+        "GPGGA,120001.00,4807.0390,N,01131.0010,E,1,08,0.9,545.4,M,46.9,M,,",
+    )
+    sums = (reduce(xor, sentence.encode()) for sentence in sentences)
+    nmea.write_text("".join(f"${s}*{n:02X}\n" for s, n in zip(sentences, sums, strict=True)))
+    gpx.write_text(
+        '<?xml version="1.0"?>\n<gpx version="1.1"><trk><trkseg>\n'
+        '<trkpt lat="48.1" lon="11.5"><time>2024-05-01T12:00:00Z</time><hdop>1.1</hdop></trkpt>\n'
+        '<trkpt lat="48.1001" lon="11.5"><time>2024-05-01T12:00:01Z</time></trkpt>\n'
+        "</trkseg></trk></gpx>\n"
+    )
+    for path in (nmea, gpx):
+        add(f"logger/{path.name}", path, partial(_fixes, path))
+
+
+def _fixes(path: Path) -> None:
+    convert_logs([path], LogMapping("x"), name="x", wheelbase_m=2.7)
+
+
+def _calibrations(folder: Path, add: Add) -> None:
+    """Calibration files of pairs that are not rectified, in each form."""
+    pair = make_calibration()
+    files = {
+        "opencv.yaml": write_opencv(folder / "opencv.yaml", opencv_values(pair)),
+        "kalibr.yaml": write_kalibr(folder / "kalibr.yaml", pair),
+        "calib_cam_to_cam.txt": write_kitti(folder / "calib_cam_to_cam.txt", pair),
+    }
+    for name, path in files.items():
+        add(f"calibration/{name}", path, partial(read_calibration, path))
 
 
 def _segment(folder: Path, add: Add) -> None:

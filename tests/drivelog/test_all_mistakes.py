@@ -6,9 +6,11 @@ import pickle
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError, Mistakes
+from polemap.drivelog.problems import validation_mistakes
 from polemap.tools import cli
 from tests.drivelog.drives import edit
 
@@ -120,3 +122,15 @@ def test_pictures_outside_need_to_be_allowed_and_are_said(folder: Path, tmp_path
     index = folder / "frames.csv"
     index.write_text(index.read_text().replace("right/", f"{outside}/"), encoding="utf-8")
     open_drive(folder).read_frame(2)
+
+
+@pytest.mark.parametrize("key", ["<!DOCTYPE x>", "function-before", "<x"])
+def test_an_unknown_key_of_any_shape_is_named(key: str) -> None:
+    class Model(BaseModel):
+        model_config = ConfigDict(extra="forbid")
+        known_m: float = 1.0
+
+    with pytest.raises(ValidationError) as caught:
+        Model.model_validate({key: 1})
+    mistakes = validation_mistakes(caught.value, Model)
+    assert mistakes == [f"{key}: unknown key; known: known_m"]
