@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
 import yaml
 
-from polemap.stereo.calibration import CameraCalibration, StereoCalibration
+from polemap.stereo.calibration import CameraCalibration, Distortion, StereoCalibration
 from polemap.stereo.rectify import rectification_of
 
 LENSES = {
@@ -26,12 +26,12 @@ def make_calibration(distortion: str = "plumb_bob") -> StereoCalibration:
             320,
             240,
             np.array([[f, 0, cx], [0, f + 1, cy], [0, 0, 1.0]]),
-            distortion,
+            cast(Distortion, distortion),
             LENSES[distortion],
         )
         for f, cx, cy in ((260.0, 161.0, 118.0), (256.0, 157.0, 123.0))
     ]
-    rotation = cv2.Rodrigues(np.array([0.02, -0.03, 0.015]))[0]
+    rotation = np.asarray(cv2.Rodrigues(np.array([0.02, -0.03, 0.015]))[0], dtype=np.float64)
     return StereoCalibration(cameras[0], cameras[1], rotation, np.array([-0.3, 0.004, -0.01]))
 
 
