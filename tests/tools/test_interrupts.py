@@ -33,6 +33,12 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def _signals_as_they_are() -> None:
+    """Undo what a suite in the background (nohup, a shell's &) ignores for its children."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def start(street: Path, out: Path, *, runs: int) -> subprocess.Popen[str]:
     """`localize` over many seeds on two processes, in a process group of its own."""
     words = ["localize", street / "drive", "--map", street / "map.gpkg", "--out", out]
@@ -43,8 +49,7 @@ def start(street: Path, out: Path, *, runs: int) -> subprocess.Popen[str]:
         stdout=subprocess.DEVNULL,
         text=True,
         start_new_session=True,
-        # a suite that runs in the background hands an ignored SIGINT to its children
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=_signals_as_they_are,
     )
 
 
@@ -188,7 +193,7 @@ def test_an_interrupt_that_a_library_swallows_comes_again() -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=_signals_as_they_are,
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "at work\n"
@@ -208,7 +213,7 @@ def test_a_simulation_ends_in_one_line(tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=_signals_as_they_are,
     ) as process:
         deadline = time.monotonic() + 60.0
         while not list(tmp_path.glob(".*.part")) and process.poll() is None:
