@@ -76,9 +76,11 @@ def check_pictures(drive: Drive) -> list[Finding]:
     try:
         pairs = [drive.images.load(int(row)) for row in rows]
     except PolemapError as error:
+        # the drive is named already: its path would crowd out what is wrong
+        value = str(error).removeprefix(f"{drive.path}/")
         return [
             Finding(
-                "picture", "error", "frames.csv", str(error), "pictures of the drive's camera",
+                "picture", "error", "frames.csv", value, "pictures of the drive's camera",
                 "rectify them with this calibration, or restore the file",
             )
         ]  # fmt: skip
