@@ -39,7 +39,8 @@ def write_mapping(inputs: Sequence[Path], out: Path, given: Path | None) -> list
     text, open_choices = guessed_mapping(inputs, mapping)
     with atomic_file(out, inputs) as part:
         part.write_text(text, encoding="utf-8")
-    left = f"{open_choices} values say CHOOSE" if open_choices else "look it through"
+    many = f"{open_choices} value{'s say' if open_choices != 1 else ' says'}"
+    left = f"{many} CHOOSE" if open_choices else "look it through"
     names = " ".join(str(path) for path in inputs)
     return [
         f"{out}: {left}; then",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite, nan
 from os import cpu_count
 from pathlib import Path
 from typing import Annotated, cast
@@ -174,17 +175,25 @@ def screen_table(results: Sequence[RouteResult]) -> str:
     """The headline figures for the terminal."""
     width = max(12, *(len(result.route.name) for result in results))
     head = (
-        f"{'route':{width}}  {'system':12}  {'repeatability':>15}  {'lateral RMSE':>14}  laps  runs"
+        f"{'route':{width}}  {'system':12}  {'repeatability':>15}  {'lateral RMSE':>14}  "
+        f"{'settled':>9}  laps  runs"
     )
     lines = [head]
     for result in results:
         laps = max((len(stretch.passes) for stretch in result.stretches), default=1)
         for one in result.systems:
-            errors = [run["lateral_rmse_m"] for run in one.accuracy if run]
-            lateral = f"{sum(errors) / len(errors):.3f} m" if errors else "-"
+            lateral = _mean_m([run["lateral_rmse_m"] for run in one.accuracy if run])
+            settled = _mean_m(
+                [run.get("settled_lateral_rmse_m", nan) for run in one.accuracy if run]
+            )
             repeated = f"{one.sd_m:.3f} m" if one.sd_m == one.sd_m else "-"
             lines.append(
                 f"{result.route.name:{width}}  {one.system.name:12}  {repeated:>15}  "
-                f"{lateral:>14}  {laps:4d}  {len(one.repeatability):4d}"
+                f"{lateral:>14}  {settled:>9}  {laps:4d}  {len(one.repeatability):4d}"
             )
     return "\n".join(lines)
+
+
+def _mean_m(errors: Sequence[float]) -> str:
+    mean = sum(errors) / len(errors) if errors else nan
+    return f"{mean:.3f} m" if isfinite(mean) else "-"

@@ -14,7 +14,7 @@ from polemap.drivelog.readers.bags.mapping import Mapping
 
 _HEADER = """\
 # Which topics of {log} are what; used with --topics. A part that is left out is guessed,
-# one that is null is not used. docs/drives.md lists all keys.
+# one that is null is not used. docs/recordings.md lists all keys.
 """
 # what a recording cannot say; written so that it is seen, and commented out until it is known
 _HINTS = """\
