@@ -19,6 +19,8 @@ _SECOND_NS = 1_000_000_000
 _ANOTHER_CLOCK_NS = 60 * _SECOND_NS
 # by how much the way of messages may vary before the two clocks do not even run alike
 _STEADY_NS = 2 * _SECOND_NS
+# log times that went through a float of seconds since 1970 are off by less
+_ROUNDING_NS = 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +114,10 @@ def times_of(
         stamp = np.where(blank, arrival, stamp)
     if not clock.usable:
         return Times(stamp, stamp)
-    early = arrival < stamp
+    early = stamp - arrival > _ROUNDING_NS
     if np.any(early):
         problems[f"{name}_arrival_before_stamp"] += int(np.count_nonzero(early))
-    return Times(stamp, np.where(early, stamp, arrival))
+    return Times(stamp, np.maximum(stamp, arrival))
 
 
 def _starts_at_zero(stamps_ns: Integers) -> bool:
