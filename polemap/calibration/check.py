@@ -31,6 +31,8 @@ _RUN = 30
 _MOVING_MPS = 1.0
 # a road that bends leaves the corridor in which it is looked for
 _STRAIGHT_PER_M = 0.02
+# beyond these it is another unit, the other sign or another drive's odometry, and no tyre
+_SCALE_RANGE = (0.7, 1.4)
 
 
 def calibrate(
@@ -180,9 +182,17 @@ def _odometry(
     if steps is not None and drive.rig is not None:
         witnesses.append(of_camera(steps, drive.rig.vehicle_from_camera))
     errors = [odometry_errors(drive, witness) for witness in witnesses if witness is not None]
-    known = [error for error in errors if error is not None and isfinite(error.speed_scale_sd)]
-    if not known:
+    told = [error for error in errors if error is not None and isfinite(error.speed_scale_sd)]
+    known = [error for error in told if _SCALE_RANGE[0] < error.speed_scale < _SCALE_RANGE[1]]
+    missing += [
+        f"odometry: {error.speed_scale:.3f} of what {error.against} says is no wheel's scale; "
+        "look at units, signs and clocks with polemap info"
+        for error in told
+        if error not in known
+    ]
+    if not told:
         missing.append("odometry: neither a reference nor the camera's motion lasts long enough")
+    if not known:
         return []
     best = known[0]
     made = " of an odometry derived from it" if drive.odometry_is_derived else ""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from polemap.calibration.check import _odometry
 from polemap.calibration.ground import (
     GroundPlane,
     angles_of,
@@ -17,12 +19,13 @@ from polemap.calibration.ground import (
 )
 from polemap.calibration.motion import CameraSteps, heading
 from polemap.calibration.odometry import Witness, odometry_errors, of_camera
+from polemap.calibration.result import Quantity
 from polemap.calibration.rows import agreement
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.plausibility.pictures import PairMatch
-from polemap.drivelog.streams import OdometryStream
+from polemap.drivelog.streams import OdometryStream, ReferenceStream
 from polemap.stereo.rig import Mounting, rotation_from_angles
 from tests.calibration.street import SIZE, TRUE, motion, rig
 
@@ -155,6 +158,19 @@ def test_scale_and_delay_against_the_camera(delay: float) -> None:
     assert found.delay_s == pytest.approx(delay, abs=0.002)
     assert found.yaw_rate_scale == pytest.approx(0.98, abs=2e-3)
     assert found.yaw_rate_bias_radps == pytest.approx(0.002, abs=2e-4)
+
+
+@pytest.mark.parametrize("factor", [-1.0, 3.6, 0.278])
+def test_odometry_of_another_unit_or_sign_is_no_scale_to_take_over(factor: float) -> None:
+    at = np.arange(0.0, 15.0, 0.02)
+    poses, speed, rate = motion(at)
+    drive = drive_of(OdometryStream(at, at, factor * speed, rate))
+    drive = replace(drive, reference=ReferenceStream(at, poses, np.full(len(at), 0.02)))
+    quantities: list[Quantity] = []
+    missing: list[str] = []
+    assert _odometry(drive, None, quantities, missing) == []
+    assert quantities == []
+    assert any("no wheel's scale" in reason for reason in missing)
 
 
 def test_a_steady_drive_knows_its_scale_but_no_delay() -> None:
