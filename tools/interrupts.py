@@ -26,8 +26,16 @@ class Stopped(BaseException):
 _raised: list[weakref.ref[Stopped]] = []
 
 
+# Python's tracker of shared resources reports what an interrupted pool had not yet released, on the
+# command's stderr and after its one line; it is a process of its own that reads this variable
+_QUIET_TRACKER = "ignore:resource_tracker"
+
+
 def install() -> None:
     """Turn the signals that ask for an end into `Stopped`; a second one ends at once."""
+    given = os.environ.get("PYTHONWARNINGS")
+    if _QUIET_TRACKER not in (given or ""):
+        os.environ["PYTHONWARNINGS"] = f"{given},{_QUIET_TRACKER}" if given else _QUIET_TRACKER
     for number in _SIGNALS:
         # what the caller ignores (nohup) stays ignored
         if signal.getsignal(number) is not signal.SIG_IGN:

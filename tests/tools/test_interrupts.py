@@ -187,6 +187,28 @@ cli.main()
 """
 
 
+LEAKING = """
+import multiprocessing, os
+from polemap.tools import interrupts
+interrupts.install()
+lock = multiprocessing.get_context("spawn").Semaphore(1)
+os._exit(0)
+"""
+
+
+@pytest.mark.parametrize("given", [None, "error::SyntaxWarning"])
+def test_what_an_ended_pool_leaves_is_not_told_after_the_one_line(given: str | None) -> None:
+    environment = dict(os.environ)
+    environment.pop("PYTHONWARNINGS", None)
+    if given is not None:
+        environment["PYTHONWARNINGS"] = given
+    # the tracker of shared resources outlives the command and holds its stderr until it has told
+    done = subprocess.run(
+        [sys.executable, "-c", LEAKING], capture_output=True, text=True, env=environment
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_an_interrupt_that_a_library_swallows_comes_again() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", SWALLOWING],
