@@ -19,6 +19,9 @@ from polemap.drivelog.errors import FrameError, InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.tables import read_table
 from polemap.extras import check_installed, need
+from polemap.map.city.parquet.io import write_tiles
+from polemap.map.city.stored import CITY_POLES
+from polemap.map.crowds import check_crowds
 from polemap.map.formats import geojson, opendrive, osm
 from polemap.map.formats.columns import KNOWN, from_columns
 from polemap.map.formats.geopackage.io import read_geopackage, write_geopackage
@@ -29,10 +32,6 @@ from polemap.parsing.text import MEGABYTE, read_bytes
 
 # of a disk that is full or may not be written; those of pyogrio and osmium are RuntimeErrors
 _LIBRARY_ERRORS = (OSError, RuntimeError, sqlite3.Error)
-
-# side of a square, and the most poles in it: a dense wood has 2000 trunks a hectare
-CROWDS = ((1.0, 200), (100.0, 5000))
-LARGEST_M = 1e9
 
 
 def check_writable(path: Path) -> None:
@@ -111,11 +110,11 @@ def read_map(
     try:
         with named(path, InputError, "map"):
             pole_map = _READERS[suffix](path, frame)
+            check_crowds(pole_map)
     except InputError as error:
         if str(path) in str(error):
             raise
         raise InputError(f"{path}: {error}") from error
-    _check_crowd(pole_map, path)
     if not len(pole_map) and not allow_empty:
         raise InputError(f"{path}: the map holds no poles; build it from a drive that saw some")
     if frame is None or pole_map.frame == frame:
@@ -126,32 +125,6 @@ def read_map(
             "leads from one to the other: use a map built in the drive's own frame"
         )
     return pole_map.to_frame(frame)
-
-
-def _check_crowd(pole_map: PoleMap, path: Path) -> None:
-    """Positions on the earth, and nowhere more poles than matching in pairs can bear.
-
-    Raises:
-        InputError: a position that is none, or a crowd of poles.
-    """
-    points = pole_map.points_m
-    if not len(points):
-        return
-    far = np.flatnonzero(np.abs(points).max(axis=1) > LARGEST_M)
-    if len(far):
-        east, north = points[far[0]]
-        raise InputError(
-            f"{path}: pole {pole_map.ids[far[0]]} stands at {east:.3g}, {north:.3g} m, beyond "
-            f"{LARGEST_M:g} m"
-        )
-    for side_m, most in CROWDS:
-        cells, count = np.unique(np.floor(points / side_m), axis=0, return_counts=True)
-        if count.max() > most:
-            east, north = cells[count.argmax()] * side_m
-            raise InputError(
-                f"{path}: {count.max()} poles within {side_m:g} m of {east:.0f}, {north:.0f} m, a "
-                f"map may have {most} there; remove what stands twice"
-            )
 
 
 def _write_geojson(pole_map: PoleMap, path: Path) -> None:
@@ -168,12 +141,15 @@ def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
 
 
 def _write_parquet(pole_map: PoleMap, path: Path) -> None:
-    pa, parquet = need("pyarrow"), need("pyarrow.parquet")
+    parquet = need("pyarrow.parquet")
     from polemap.map.formats import geoparquet  # needs pyarrow, too
 
+    if len(pole_map) >= CITY_POLES:
+        write_tiles(pole_map, path)
+        return
     table = geoparquet.to_table(pole_map)
-    texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
     # dictionaries of numbers that are all different only cost time, as does a strong compression
+    texts = geoparquet.text_columns(table)
     parquet.write_table(table, path, compression="snappy", use_dictionary=texts)
 
 

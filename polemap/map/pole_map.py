@@ -153,9 +153,9 @@ class PoleMap:
         in_vehicle = rotate_back(self.points_m[rows] - (east, north), yaw)
         return rows[view.contains(in_vehicle)]
 
-    def rows(self, rows: ArrayLike) -> PoleMap:
-        """A map of some rows (indices or a mask)."""
-        chosen = np.asarray(rows)
+    def rows(self, rows: ArrayLike | slice) -> PoleMap:
+        """A map of some rows (indices, a mask, a slice)."""
+        chosen = rows if isinstance(rows, slice) else np.asarray(rows)
         return replace(
             self,
             ids=self.ids[chosen],

@@ -20,6 +20,7 @@ from polemap.map.formats import geojson
 from polemap.map.formats.columns import KNOWN, from_columns, to_columns
 from polemap.map.formats.layers import map_from_layer
 from polemap.map.pole_map import PoleMap
+from polemap.parsing.errors import ParsingError
 from polemap.parsing.json_text import parse_json
 from polemap.parsing.text import decoded
 
@@ -99,18 +100,11 @@ def from_table(table: pa.Table, frame: EarthFrame | None) -> PoleMap:
         raise InputError(f"its reference system cannot be read ({str(error)[:80]})") from error
     doubtful = geojson.from_document(ours["doubtful"], frame) if "doubtful" in ours else None
     next_id = int(doubtful.ids.max()) + 1 if doubtful is not None and len(doubtful) else 0
-    as_ours = _in_frame(system, own) and _is_numbers(table)
-    points = _plain_points(table.column(name)) if as_ours else None
-    if own is None or points is None:
-        pole_map = map_from_layer(_layer(table, name, system), own, frame, next_id)
-    else:
-        columns: dict[str, NDArray[Any]] = {}
-        extra: dict[str, NDArray[Any]] = {}
-        for column in table.column_names:
-            values = None if column == name else _numpy(table.column(column))
-            if values is not None:
-                (columns if column in KNOWN else extra)[column] = values
-        pole_map = from_columns(own, points, columns, extra=extra, next_id=next_id)
+    as_ours = _in_frame(system, own) and _is_numbers(table.schema)
+    plain = plain_map(table, name, own, next_id) if own is not None and as_ours else None
+    if plain is None:
+        plain = map_from_layer(_layer(table, name, system), own, frame, next_id)
+    pole_map = plain
     if doubtful is None:
         return pole_map
     return replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
@@ -122,9 +116,39 @@ def _in_frame(system: CRS | None, own: EarthFrame | None) -> bool:
     return bool(system.to_epsg() == own.epsg)
 
 
-def _is_numbers(table: pa.Table) -> bool:
+def plain_map(table: pa.Table, name: str, own: EarthFrame, next_id: int = 0) -> PoleMap | None:
+    """The rows of a table as we write it; None where the column `name` is not all plain points."""
+    points = _plain_points(table.column(name))
+    if points is None:
+        return None
+    columns: dict[str, NDArray[Any]] = {}
+    extra: dict[str, NDArray[Any]] = {}
+    for column in table.column_names:
+        values = None if column == name else _numpy(table.column(column))
+        if values is not None:
+            (columns if column in KNOWN else extra)[column] = values
+    return from_columns(own, points, columns, extra=extra, next_id=next_id)
+
+
+def is_plain(schema: pa.Schema, own: EarthFrame) -> bool:
+    """Whether a file's geometry is in the frame `own`, and its known columns are numbers."""
+    try:
+        geo = parse_json(decoded((schema.metadata or {}).get(b"geo", b"{}")))
+        crs = geo["columns"][geo["primary_column"]]["crs"]
+        system = None if crs is None else CRS.from_user_input(crs)
+    except (ParsingError, CRSError, KeyError, TypeError, ValueError):
+        return False
+    return _in_frame(system, own) and _is_numbers(schema)
+
+
+def text_columns(table: pa.Table) -> list[str]:
+    """Those that a dictionary makes smaller: others, all different, would only cost time."""
+    return [field.name for field in table.schema if pa.types.is_string(field.type)]
+
+
+def _is_numbers(schema: pa.Schema) -> bool:
     """Whether the columns that a map knows hold numbers."""
-    kinds = [field.type for field in table.schema if field.name in KNOWN]
+    kinds = [field.type for field in schema if field.name in KNOWN]
     return all(pa.types.is_integer(kind) or pa.types.is_floating(kind) for kind in kinds)
 
 

@@ -15,6 +15,10 @@ import shapely
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.map.city.geopackage.io import LAYER, describe_city
+from polemap.map.city.packing import packed_order
+from polemap.map.city.statistics import MapStatistics
+from polemap.map.city.stored import CITY_POLES, StoredCity
 from polemap.map.formats import qgis
 from polemap.map.formats.columns import to_columns
 from polemap.map.formats.layers import map_from_layer
@@ -23,14 +27,21 @@ from polemap.parsing.errors import ParsingError, short
 from polemap.parsing.json_text import parse_json
 
 _SQLITE = b"SQLite format 3\0"
-LAYER = "poles"
 DOUBTFUL = "doubtful"
+# a table of points costs the library a kilobyte a row
+_ROWS_AT_ONCE = 1_000_000
 
 
 def write_geopackage(pole_map: PoleMap, path: Path) -> None:
-    """Write a map as a layer of poles, one of doubtful ones where there are any, and its style."""
+    """Write a map as a layer of poles, one of doubtful ones where there are any, and its style.
+
+    The poles of a city stand in the order of tiles, so that neighbours share pages of the disk.
+    """
     layers = [LAYER]
-    _write_layer(pole_map, path, LAYER)
+    if len(pole_map) >= CITY_POLES:
+        write_city_layer(pole_map, path)
+    else:
+        _write_layer(pole_map, path, LAYER)
     if pole_map.doubtful is not None and len(pole_map.doubtful):
         layers.append(DOUBTFUL)
         _write_layer(pole_map.doubtful, path, DOUBTFUL)
@@ -45,7 +56,16 @@ def write_geopackage(pole_map: PoleMap, path: Path) -> None:
             database.execute(statement)
 
 
-def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
+def write_city_layer(pole_map: PoleMap, path: Path) -> None:
+    """Write the layer of poles such that it can be read by tiles."""
+    packed = pole_map.rows(packed_order(pole_map.points_m))
+    for start in range(0, len(packed), _ROWS_AT_ONCE):
+        part = packed.rows(slice(start, start + _ROWS_AT_ONCE))
+        _write_layer(part, path, LAYER, append=start > 0)
+    describe_city(path, StoredCity(packed.frame, MapStatistics.of(packed), {}))
+
+
+def _write_layer(pole_map: PoleMap, path: Path, layer: str, *, append: bool = False) -> None:
     frame = pole_map.frame
     points = shapely.points(pole_map.points_m)
     table = geopandas.GeoDataFrame(
@@ -56,8 +76,9 @@ def _write_layer(pole_map: PoleMap, path: Path, layer: str) -> None:
         # a local frame has no reference system that other programs know; the metadata name it
         warnings.filterwarnings("ignore", message="'crs' was not provided")
         pyogrio.write_dataframe(
-            table, path, layer=layer, driver="GPKG", geometry_type="Point", layer_metadata=metadata
-        )
+            table, path, layer=layer, driver="GPKG", geometry_type="Point",
+            layer_metadata=metadata, append=append,
+        )  # fmt: skip
 
 
 def read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:

@@ -1,0 +1,317 @@
+"""A city's map: what it holds is known at once, its poles are read where they are asked for."""
+
+from __future__ import annotations
+
+import logging
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from polemap.drivelog.errors import FrameError, InputError
+from polemap.drivelog.frames import EarthFrame, transform_points
+from polemap.map.city.statistics import MapStatistics
+from polemap.map.crowds import check_crowds
+from polemap.map.pole_map import PoleMap
+
+Floats = NDArray[np.float64]
+Key = tuple[int, ...]
+
+_LOG = logging.getLogger("polemap")
+
+# poles that are kept in memory, some 150 bytes each: a car's surroundings ten times over
+CACHED_POLES = 200_000
+# a box in another zone is bounded by points of its edges; between them the edge bends less
+_EDGE_POINTS, _BEND_M = 9, 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """Poles that are read at once.
+
+    Attributes:
+        poles: of the tile alone, in the map's order.
+        rows: `(n,)` which rows of the whole map they are.
+    """
+
+    poles: PoleMap
+    rows: NDArray[np.int64]
+
+
+class TileStore(Protocol):
+    """A map on the disk that can be read by tiles; every pole lies in exactly one of them."""
+
+    @property
+    def frame(self) -> EarthFrame:
+        """Of its coordinates."""
+
+    @property
+    def statistics(self) -> MapStatistics:
+        """Of all its poles."""
+
+    def overlapping(self, low_m: Floats, high_m: Floats) -> list[Key]:
+        """Tiles that may hold poles of a box, in a fixed order."""
+
+    def all_keys(self) -> Iterator[Key]:
+        """All tiles, in a fixed order."""
+
+    def box(self, key: Key) -> Floats:
+        """West, south, east, north `(4,)` within which a tile's poles lie."""
+
+    def read(self, key: Key, columns: Sequence[str] = ()) -> Tile:
+        """The poles of a tile, with further columns where the file has them.
+
+        Raises:
+            InputError: the tile is damaged.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """What a map says of some boxes.
+
+    Attributes:
+        boxes: `(k, 4)` west, south, east, north.
+        poles: that stand in one of them, in the map's order.
+        unread: `(m, 4)` boxes of tiles that could not be read: of what stands there nothing is
+            known.
+    """
+
+    boxes: Floats
+    poles: PoleMap
+    unread: Floats
+
+    def known(self, points_m: Floats) -> NDArray[np.bool_]:
+        """Which of the points `(n, 2)` lie where the poles are known."""
+        return inside(self.boxes, points_m) & ~inside(self.unread, points_m)
+
+
+def inside(boxes: Floats, points_m: Floats) -> NDArray[np.bool_]:
+    """Which of the points `(n, 2)` lie in one of the boxes `(k, 4)`."""
+    east, north = points_m[:, :1], points_m[:, 1:2]
+    within = (east >= boxes[:, 0]) & (east <= boxes[:, 2])
+    within &= (north >= boxes[:, 1]) & (north <= boxes[:, 3])
+    return np.asarray(within.any(axis=1))
+
+
+def box_around(centre_m: ArrayLike, radius_m: float) -> Floats:
+    """The box `(4,)` of a circle."""
+    centre = np.asarray(centre_m, dtype=np.float64).reshape(2)
+    return np.concatenate([centre - radius_m, centre + radius_m])
+
+
+class CityMap:
+    """A pole map that is read by tiles. May be used from several threads.
+
+    Poles are returned as a `PoleMap` of those that were asked for, in the order of the whole map.
+
+    Args:
+        store: the file.
+        frame: to be transformed into, the file's own where not given.
+        name: for messages.
+        cached_poles: how many poles are kept in memory.
+
+    Raises:
+        FrameError: no transformation leads to that frame.
+
+    Attributes:
+        frame: of all poles that it returns.
+        notes: what a user of the map must know.
+        damaged: what was wrong with the tiles that could not be read.
+    """
+
+    def __init__(
+        self,
+        store: TileStore,
+        frame: EarthFrame | None = None,
+        name: str = "map",
+        cached_poles: int = CACHED_POLES,
+    ) -> None:
+        own = store.frame
+        self.frame = frame or own
+        self.notes: tuple[str, ...] = ()
+        if self.frame != own:
+            if not (self.frame.is_utm and own.is_utm):
+                raise FrameError(
+                    f"{name}: the map is in {own}, the drive in {self.frame}; no transformation "
+                    "leads from one to the other: use a map built in the drive's own frame"
+                )
+            self.notes = (f"transformed from {own} to {self.frame}",)
+        self.name = name
+        self.damaged: dict[Key, str] = {}
+        self._store = store
+        self._most = cached_poles
+        self._cache: OrderedDict[Key, Tile] = OrderedDict()
+        self._cached = 0
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        return self._store.statistics.poles
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # for another process, where the store opens its file once more
+        return CityMap, (self._store, self.frame, self.name, self._most)
+
+    @property
+    def statistics(self) -> MapStatistics:
+        """Figures over all poles, as stored with them; the extent in `frame`."""
+        stored = self._store.statistics
+        if self.frame == self._store.frame or not stored.extent_m:
+            return stored
+        turned = _box_in(np.array(stored.extent_m), self._store.frame, self.frame)
+        return replace(stored, extent_m=tuple(turned.tolist()))
+
+    @property
+    def kinds(self) -> tuple[int, ...]:
+        """Every `LandmarkKind` that stands in the map."""
+        return self._store.statistics.kinds
+
+    def area(self, boxes: ArrayLike) -> Area:
+        """The poles in boxes `(k, 4)`; tiles that cannot be read are told of and left out."""
+        wanted = np.asarray(boxes, dtype=np.float64).reshape(-1, 4)
+        tiles, unread = [], []
+        for key in self._keys(wanted):
+            if key not in self.damaged:
+                try:
+                    tiles.append(self._tile(key))
+                    continue
+                except InputError as error:
+                    self.damaged[key] = str(error)
+                    _LOG.warning("%s; its poles are left out", error)
+            unread.append(self._box(key))
+        return Area(wanted, self._joined(tiles, wanted), np.array(unread).reshape(-1, 4))
+
+    def poles_in(self, box: ArrayLike, columns: Sequence[str] = ()) -> PoleMap:
+        """The poles in a box `(4,)`: west, south, east, north.
+
+        Args:
+            columns: further ones to read, not kept in memory.
+
+        Raises:
+            InputError: a tile is damaged.
+        """
+        wanted = np.asarray(box, dtype=np.float64).reshape(1, 4)
+        read = [
+            self._read(key, columns) if columns else self._tile(key) for key in self._keys(wanted)
+        ]
+        return self._joined(read, wanted)
+
+    def poles_within(self, centre_m: ArrayLike, radius_m: float) -> PoleMap:
+        """The poles within a circle.
+
+        Raises:
+            InputError: a tile is damaged.
+        """
+        square = self.poles_in(box_around(centre_m, radius_m))
+        offset = square.points_m - np.asarray(centre_m, dtype=np.float64).reshape(2)
+        return square.rows(np.hypot(offset[:, 0], offset[:, 1]) <= radius_m)
+
+    def nearest_m(self, points_m: ArrayLike, limit_m: float) -> Floats:
+        """Distance `(n,)` to the nearest pole, infinite where none is within the limit.
+
+        Raises:
+            InputError: a tile is damaged.
+        """
+        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 2)
+        found = (self.poles_within(point, limit_m).points_m - point for point in points)
+        return np.array([np.hypot(*offset.T).min(initial=np.inf) for offset in found])
+
+    def tiles(self, columns: Sequence[str] = ()) -> Iterator[Tile]:
+        """All poles, a tile after the other; none of them is kept in memory.
+
+        Raises:
+            InputError: a tile is damaged.
+        """
+        for key in self._store.all_keys():
+            tile = self._read(key, columns)
+            if len(tile.rows):
+                yield tile
+
+    def _keys(self, boxes: Floats) -> list[Key]:
+        keys: dict[Key, None] = {}
+        for box in boxes:
+            own = _box_in(box, self.frame, self._store.frame)
+            keys |= dict.fromkeys(self._store.overlapping(own[:2], own[2:]))
+        return list(keys)
+
+    def _box(self, key: Key) -> Floats:
+        return _box_in(self._store.box(key), self._store.frame, self.frame)
+
+    def _tile(self, key: Key) -> Tile:
+        """A tile of the cache, or of the file; what was not used for longest makes way."""
+        with self._lock:
+            tile = self._cache.get(key)
+            if tile is not None:
+                self._cache.move_to_end(key)
+                return tile
+        tile = self._read(key)
+        with self._lock:
+            if key not in self._cache:
+                self._cache[key] = tile
+                self._cached += len(tile.rows)
+            while self._cached > self._most and len(self._cache) > 1:
+                _, oldest = self._cache.popitem(last=False)
+                self._cached -= len(oldest.rows)
+        return tile
+
+    def _read(self, key: Key, columns: Sequence[str] = ()) -> Tile:
+        tile = self._store.read(key, columns)
+        try:
+            check_crowds(tile.poles)
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from error
+        if self.frame == self._store.frame:
+            return tile
+        return Tile(replace(tile.poles.to_frame(self.frame), notes=()), tile.rows)
+
+    def _joined(self, tiles: Sequence[Tile], boxes: Floats) -> PoleMap:
+        """The poles of the tiles that stand in one of the boxes, in the order of the whole map."""
+        parts, rows = [], []
+        for tile in tiles:
+            chosen = inside(boxes, tile.poles.points_m)
+            if chosen.any():
+                parts.append(tile.poles.rows(chosen))
+                rows.append(tile.rows[chosen])
+        if not parts:
+            return PoleMap.empty(self.frame)
+        return join_all(parts).rows(np.argsort(np.concatenate(rows), kind="stable"))
+
+
+def join_all(parts: Sequence[PoleMap]) -> PoleMap:
+    """Maps of one frame and the same columns, one after the other."""
+    first = parts[0]
+
+    def all_of(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    return PoleMap(
+        frame=first.frame,
+        ids=all_of("ids"),
+        points_m=all_of("points_m"),
+        covariance_m2=all_of("covariance_m2"),
+        width_m=all_of("width_m"),
+        height_m=all_of("height_m"),
+        observations=all_of("observations"),
+        drives=all_of("drives"),
+        existence=all_of("existence"),
+        extra={name: np.concatenate([part.extra[name] for part in parts]) for name in first.extra},
+    )
+
+
+def _box_in(box: Floats, frame: EarthFrame, other: EarthFrame) -> Floats:
+    """The box `(4,)` in another frame that holds a box of `frame`."""
+    if frame == other:
+        return box
+    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
+    east = box[0] + along * (box[2] - box[0])
+    north = box[1] + along * (box[3] - box[1])
+    edge = np.concatenate(
+        [np.stack(np.broadcast_arrays(x, y), axis=1)
+         for x, y in ((east, box[1]), (east, box[3]), (box[0], north), (box[2], north))]
+    )  # fmt: skip
+    moved = transform_points(edge, frame, other)
+    return np.concatenate([moved.min(axis=0) - _BEND_M, moved.max(axis=0) + _BEND_M])

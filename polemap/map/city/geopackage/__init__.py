@@ -1,0 +1,1 @@
+"""City maps in GeoPackages, by the R-tree of their layer."""

@@ -1,0 +1,63 @@
+"""Opening a map: those of cities by tiles, all others as a whole."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.city.city_map import CityMap, TileStore
+from polemap.map.city.geopackage.io import GeoPackageTiles
+from polemap.map.city.parquet.io import ParquetTiles
+from polemap.map.city.stored import CITY_POLES
+from polemap.map.io import read_map
+from polemap.map.pole_map import PoleMap
+
+
+def open_map(
+    path: str | Path, frame: EarthFrame | None = None, *, allow_empty: bool = False
+) -> PoleMap | CityMap:
+    """Open a map, in the frame that is asked for.
+
+    A GeoPackage or GeoParquet file of a city, as `write_map` writes it, is opened by its tiles
+    without reading its poles; every other map is read, with a note where it is as large as a city.
+
+    Args:
+        path, frame, allow_empty: see `polemap.map.io.read_map`.
+
+    Raises:
+        InputError: unreadable, a column missing, a value out of range, no poles.
+        FrameError: the map's frame is not the drive's, and no transformation leads there.
+    """
+    path = Path(path)
+    city = open_city(path, frame)
+    if city is not None:
+        return city
+    pole_map = read_map(path, frame, allow_empty=allow_empty)
+    if len(pole_map) < CITY_POLES:
+        return pole_map
+    note = (
+        f"{path.name}: all of its {len(pole_map)} poles were read; polemap map --convert "
+        f"{path.name} --out {path.stem}.gpkg writes a map that is opened by tiles"
+    )
+    return replace(pole_map, notes=(*pole_map.notes, note))
+
+
+def open_city(path: str | Path, frame: EarthFrame | None = None) -> CityMap | None:
+    """A map that is opened by its tiles; None of one that was not written so.
+
+    Raises:
+        InputError: it cannot be read.
+        FrameError: no transformation leads to the frame.
+    """
+    path = Path(path)
+    store: TileStore | None = None
+    if not os.path.isfile(path):
+        raise InputError(f"{path}: no such map")
+    if path.suffix.lower() == ".gpkg":
+        store = GeoPackageTiles.open(path)
+    elif path.suffix.lower() == ".parquet":
+        store = ParquetTiles.open(path)
+    return None if store is None else CityMap(store, frame, str(path))

@@ -1,0 +1,1 @@
+"""City maps in GeoParquet files, by row groups."""
