@@ -95,13 +95,12 @@ def _resampled(blocks: Blocks, picks: Floats, run_weights: Floats) -> Floats:
 BLOCK_S = 5.0
 
 
-def settled_summary(parts: Sequence[Errors], settled_s: Sequence[float]) -> dict[str, float]:
-    """The summary over all recordings, and `settled_...` for what follows each one's start-up."""
-    settled = [one.after(stamp_s) for one, stamp_s in zip(parts, settled_s, strict=True)]
-    later = summary(_joined(settled))
+def summary_and_start(parts: Sequence[Errors], starts: Sequence[Errors]) -> dict[str, float]:
+    """The summary over all recordings, and `start_...` of what came before it counted."""
+    before = summary(_joined(starts))
     return {
         **summary(_joined(parts)),
-        **{f"settled_{key}": value for key, value in later.items() if "_rmse_" in key},
+        **{f"start_{key}": v for key, v in before.items() if "_rmse_" in key or key == "poses"},
     }
 
 

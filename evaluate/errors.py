@@ -48,12 +48,14 @@ class Errors:
         """Distance to the reference, `(n,)`."""
         return np.asarray(np.hypot(self.lateral_m, self.longitudinal_m))
 
-    def after(self, stamp_s: float) -> Errors:
-        """The errors from `stamp_s` on."""
-        keep = self.stamp_s >= stamp_s
-        return Errors(
-            self.stamp_s[keep], self.lateral_m[keep], self.longitudinal_m[keep], self.yaw_rad[keep]
+    def split(self, stamp_s: float) -> tuple[Errors, Errors]:
+        """The errors before `stamp_s`, and those from it on."""
+        late = self.stamp_s >= stamp_s
+        before, after = (
+            Errors(self.stamp_s[k], self.lateral_m[k], self.longitudinal_m[k], self.yaw_rad[k])
+            for k in (~late, late)
         )
+        return before, after
 
 
 def pose_errors(estimated: Floats, true: Floats) -> Floats:
@@ -88,6 +90,19 @@ def errors_against(estimate: Trajectory, reference: TimedPoses) -> Errors:
     known = np.isfinite(truth[:, 0])
     along, across, yaw = pose_errors(estimate.poses[known], truth[known]).T
     return Errors(estimate.stamp_s[known], across, along, yaw)
+
+
+def first_on_poles_s(stamp_s: Floats, pose_age_s: Floats) -> float | None:
+    """The first stamp at which a pose on poles had reached the output; None where none has.
+
+    Errors of the output count from here on: before, it shows how good a start by GNSS is.
+
+    Args:
+        stamp_s: `(n,)` of the output.
+        pose_age_s: `(n,)` age of the last pose on poles, not finite before the first.
+    """
+    rows = np.flatnonzero(np.isfinite(pose_age_s))
+    return float(stamp_s[rows[0]]) if len(rows) else None
 
 
 def summary(errors: Errors) -> dict[str, float]:

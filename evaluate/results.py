@@ -28,13 +28,15 @@ from polemap.vehicle.trajectory import Trajectory
 class System:
     """One line of the tables: a trajectory a run and recording, and where it came from.
 
-    `kind` is pf, kf, reference, truth or added; `tracks[run][recording]`.
+    `kind` is pf, kf, reference, truth or added; `tracks[run][recording]`. Errors count from
+    `counts_from_s[run][recording]` on, the first pose on poles of an output filter; empty for all.
     """
 
     name: str
     kind: str
     setting: str
     tracks: tuple[tuple[Trajectory, ...], ...]
+    counts_from_s: tuple[tuple[float, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,8 @@ class SystemResult:
         example: deviations of the first run, excluded parts left out.
         blocks: squared centred deviations over `BLOCK_M` of road, for the bootstrap.
         true_lateral_rms_m: per run, against the truth (else the reference) at the same station.
-        accuracy: per run, `accuracy.summary` over all recordings; empty without a reference.
+        accuracy: per run, `errors.summary` over all recordings, and that of the start as
+            `start_...`; empty without a reference.
         errors: of the first run, one a recording.
         error_blocks: by kind of error, for the bootstrap.
     """

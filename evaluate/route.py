@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import starmap
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.evaluation.bootstrap import Blocks, all_blocks, settled_summary
+from polemap.evaluation.bootstrap import Blocks, all_blocks, summary_and_start
 from polemap.evaluation.errors import Errors, errors_against
 from polemap.evaluation.exclusions import (
     Exclusion,
@@ -33,6 +35,7 @@ from polemap.evaluation.repeatability import (
 )
 from polemap.evaluation.results import RouteResult, System, SystemResult
 from polemap.evaluation.routes import Recording, Route
+from polemap.evaluation.runs.io import Run
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -109,11 +112,8 @@ def route_systems(route: Route, max_runs: int | None = None) -> list[System]:
         count = min(len(one.runs) for one in sets)
         count = count if max_runs is None else min(count, max_runs)
         label = route.setting_mark(setting)
-        for kind in ("pf", "kf"):
-            tracks = tuple(
-                tuple(getattr(one.runs[run], kind) for one in sets) for run in range(count)
-            )
-            systems.append(System(f"{kind}{label}", kind, setting, tracks))
+        groups = tuple(tuple(one.runs[run] for one in sets) for run in range(count))
+        systems += [filter_system(f"{k}{label}", k, setting, groups) for k in ("pf", "kf")]
     for kind in ("reference", "truth"):
         track = _tracks(route.recordings, kind)
         if track is not None:
@@ -123,6 +123,13 @@ def route_systems(route: Route, max_runs: int | None = None) -> list[System]:
         track = tuple(one.added.get(name, nothing) for one in route.recordings)
         systems.append(System(name, "added", "", (track,)))
     return systems
+
+
+def filter_system(name: str, kind: str, setting: str, groups: Sequence[Sequence[Run]]) -> System:
+    """The particle filter (`pf`) or the output filter (`kf`) of `groups[run][recording]`."""
+    tracks = tuple(tuple(getattr(run, kind) for run in runs) for runs in groups)
+    begins = tuple(tuple(run.on_poles_from_s() for run in runs) for runs in groups)
+    return System(name, kind, setting, tracks, begins if kind == "kf" else ())
 
 
 def _judge(recordings: Sequence[Recording]) -> tuple[str, Sequence[Trajectory]]:
@@ -229,12 +236,16 @@ def _evaluate(
             )
     goals = _tracks(route.recordings, against) if against else None
     per_run: list[list[Errors]] = []
+    starts: list[list[Errors]] = []
     if goals is not None and system.kind != against:
-        per_run = [
-            [errors_against(track, goal) for track, goal in zip(tracks, goals, strict=True)]
-            for tracks in system.tracks
-        ]
-    settled = [one.settled_s for one in route.recordings]
+        for run, tracks in enumerate(system.tracks):
+            begins = system.counts_from_s[run] if system.counts_from_s else (-inf,) * len(tracks)
+            parts_of = [
+                errors_against(track, goal).split(begin)
+                for track, goal, begin in zip(tracks, goals, begins, strict=True)
+            ]
+            starts.append([start for start, _ in parts_of])
+            per_run.append([counted for _, counted in parts_of])
     guides_s = [one.guide.stamp_s for one in route.recordings]
     spans = [(float(stamps[0]), float(stamps[-1])) for stamps in guides_s] if per_run else []
     return SystemResult(
@@ -244,7 +255,7 @@ def _evaluate(
         example=tuple(example),
         blocks=Blocks(np.array(squares), np.array(weights)),
         true_lateral_rms_m=tuple(true_rms),
-        accuracy=tuple(settled_summary(one, settled) for one in per_run),
+        accuracy=tuple(starmap(summary_and_start, zip(per_run, starts, strict=True))),
         errors=tuple(per_run[0]) if per_run else (),
         error_blocks=all_blocks(per_run, spans),
     )

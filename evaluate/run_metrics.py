@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
-from polemap.evaluation.errors import accuracy
+from polemap.evaluation.errors import accuracy, first_on_poles_s
 from polemap.localize.pose_queue import PoseUpdate
 from polemap.localize.replay import Run
 from polemap.vehicle.pose import rotate_back
@@ -27,6 +27,7 @@ def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
         drive: the drive, with its reference.
     """
     counts = dict(run.counts)
+    on_poles_s = first_on_poles_s(run.kf.stamp_s, run.output[:, 3]) if len(run.output) else None
     result: dict[str, Any] = {
         "drive": drive.name,
         "frame": str(drive.frame),
@@ -41,6 +42,7 @@ def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
         "input_problems": dict(drive.problems),
         "updates": len(run.updates),
         "output_poses": len(run.kf),
+        "on_poles_from_s": on_poles_s,
         "latency_s": _latency(run.updates),
         "jump_max_m": float(run.output[:, 2].max()) if len(run.output) else 0.0,
         "flagged_ticks": sum(1 for flag in run.flags if flag),
@@ -52,10 +54,9 @@ def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
     }
     if drive.reference is not None and len(drive.reference):
         # the output counts from the first pole-based pose on; its start by GNSS stands apart
-        held = np.isfinite(run.output[:, 3]) if len(run.output) else np.zeros(0, dtype=np.bool_)
-        localized = run.kf.rows(held) if held.any() else run.kf
-        start = run.kf.rows(~held) if held.any() else run.kf.rows(np.zeros(len(run.kf), dtype=bool))
-        for name, trajectory in (("pf", run.pf), ("kf", localized), ("kf_start", start)):
+        start = run.kf.stamp_s < (-inf if on_poles_s is None else on_poles_s)
+        parts = (("pf", run.pf), ("kf", run.kf.rows(~start)), ("kf_start", run.kf.rows(start)))
+        for name, trajectory in parts:
             if len(trajectory):
                 result[name] = accuracy(trajectory, drive.reference)
     if isfinite(run.replay_s):

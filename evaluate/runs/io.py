@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.tum import read_tum
+from polemap.evaluation.errors import first_on_poles_s
 from polemap.parsing.csv_text import read_rows
 from polemap.parsing.errors import named
 from polemap.parsing.json_text import read_json
@@ -68,6 +70,20 @@ class Run:
         if self.folder is None or not (self.folder / "output.csv").is_file():
             return None
         return _read_table(self.folder / "output.csv")
+
+    def on_poles_from_s(self) -> float:
+        """First stamp of the output that a pose on poles has reached; -inf where none has.
+
+        Raises:
+            InputError: output.csv is needed, of a run of an earlier version, and damaged.
+        """
+        stated = self.metrics.get("on_poles_from_s")
+        if stated is None and "on_poles_from_s" not in self.metrics:
+            table = self.output_table() or {}
+            stamps, ages = table.get("stamp_s"), table.get("pose_age_s")
+            if isinstance(stamps, np.ndarray) and isinstance(ages, np.ndarray):
+                stated = first_on_poles_s(stamps, ages)
+        return float(stated) if isinstance(stated, int | float) else -inf
 
     def health_numbers(self, *names: str) -> Floats | None:
         """The first of the columns that exists and holds numbers."""
@@ -165,6 +181,12 @@ def _read_run(
     if not isinstance(seed, int):
         raise InputError(f"{folder / 'config.yaml'}: seed = {seed!r} is not a whole number")
     timing = folder / "timing.csv"
+    if config.get("map", "") is None and not allow_without_poles:
+        raise InputError(
+            f"{folder}: was localized --without-poles, so there is no particle filter to report "
+            f"on; its metrics.json has its errors, and --add NAME={folder / 'kf.tum'} sets it "
+            "beside a run in a map"
+        )
     return Run(
         seed=seed,
         pf=read_tum(folder / "pf.tum", allow_empty=allow_without_poles),

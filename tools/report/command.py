@@ -176,20 +176,18 @@ def screen_table(results: Sequence[RouteResult]) -> str:
     width = max(12, *(len(result.route.name) for result in results))
     head = (
         f"{'route':{width}}  {'system':12}  {'repeatability':>15}  {'lateral RMSE':>14}  "
-        f"{'settled':>9}  laps  runs"
+        "laps  runs"
     )
     lines = [head]
     for result in results:
         laps = max((len(stretch.passes) for stretch in result.stretches), default=1)
         for one in result.systems:
-            lateral = _mean_m([run["lateral_rmse_m"] for run in one.accuracy if run])
-            settled = _mean_m(
-                [run.get("settled_lateral_rmse_m", nan) for run in one.accuracy if run]
-            )
+            errors = [run.get("lateral_rmse_m", nan) for run in one.accuracy if run]
+            lateral = _mean_m(errors)
             repeated = f"{one.sd_m:.3f} m" if one.sd_m == one.sd_m else "-"
             lines.append(
                 f"{result.route.name:{width}}  {one.system.name:12}  {repeated:>15}  "
-                f"{lateral:>14}  {settled:>9}  {laps:4d}  {len(one.repeatability):4d}"
+                f"{lateral:>14}  {laps:4d}  {len(one.repeatability):4d}"
             )
     return "\n".join(lines)
 

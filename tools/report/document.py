@@ -140,7 +140,7 @@ def _accuracy(result: RouteResult) -> dict[str, Any]:
             values = {key: [run[key] for run in one.accuracy if key in run] for key in keys}
             systems[one.system.name] = {
                 **{key: float(np.mean(v)) for key, v in values.items()},
-                "per_run_position_rmse_m": values["position_rmse_m"],
+                "per_run_position_rmse_m": values.get("position_rmse_m", []),
                 "spread": {
                     key: float(np.std(v, ddof=1)) for key, v in values.items() if len(v) > 1
                 },

@@ -50,7 +50,8 @@ def errors_over_time(result: RouteResult, key: str) -> Picture | None:
         for row, (axes, (kind, label, scale)) in enumerate(zip(all_axes, panels, strict=True)):
             if band is not None:
                 begin = float(kf.errors[0].stamp_s[0])
-                time, width = thin(band[0] - begin, 3.0 * scale * band[1][:, row])
+                late = band[0] >= begin
+                time, width = thin(band[0][late] - begin, 3.0 * scale * band[1][late, row])
                 axes.fill_between(time, -width, width, color=SHADE, lw=0, label="3σ of the kf")
             for number, (ours, theirs) in enumerate(zip(kf.errors, pf.errors, strict=True)):
                 if not len(ours.stamp_s):
@@ -73,11 +74,11 @@ def errors_over_time(result: RouteResult, key: str) -> Picture | None:
         legend_above(all_axes[0])
         all_axes[-1].set_xlabel("time [s]")
         told = (
-            f"First run of each of the {len(kf.errors)} recordings from its own start: output "
-            "filter, and particle filter pale."
+            f"First run of each of the {len(kf.errors)} recordings, each from its first pose on "
+            "poles: output filter, and particle filter pale."
             if several
-            else "First run. Band: three standard deviations that the output filter states, in "
-            "the direction of the error."
+            else "First run, from its first pose on poles. Band: three standard deviations that "
+            "the output filter states, in the direction of the error."
         )
         return finish(figure, key, f"Errors against the {result.against}", told)
 

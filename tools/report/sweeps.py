@@ -13,8 +13,8 @@ import numpy as np
 from polemap import __version__
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError, PolemapError
-from polemap.evaluation.results import RouteResult, System, SystemResult
-from polemap.evaluation.route import measure
+from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.evaluation.route import filter_system, measure
 from polemap.evaluation.routes import Recording
 from polemap.evaluation.runs.io import Run
 from polemap.settings import Settings
@@ -183,8 +183,7 @@ def _measured(plan: _Plan, sweep: Sweep) -> SweptRoute:
     for value, groups in zip(sweep.values, plan.runs[sweep.name], strict=True):
         runs = tuple(tuple(_result(one) for one in group) for group in groups)
         systems = [
-            System(kind, kind, value.label, tuple(tuple(getattr(r, kind) for r in g) for g in runs))
-            for kind in ("pf", "kf")
+            filter_system(kind, kind, value.label, runs) for kind in ("pf", "kf")
         ]
         pf, kf = (measure(plan.result, system) for system in systems)
         values.append(SweptValue(value, runs, pf, kf))

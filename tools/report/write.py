@@ -121,7 +121,7 @@ def _write_tables(out: Path, tables: Sequence[Table], latex: bool) -> None:
 
 
 def _write_references(folder: Path, slug: str, result: RouteResult) -> None:
-    """The reference at the stamps of the first run's poses, so that `evo_ape` pairs exactly.
+    """The reference at the stamps of the first run's poses that count, so that evo pairs exactly.
 
     evo pairs the nearest stamps and does not interpolate: against the reference's own stamps it
     would measure the distance that the car drives in between.
@@ -137,7 +137,9 @@ def _write_references(folder: Path, slug: str, result: RouteResult) -> None:
             if goal is None:
                 continue
             poses = goal.at(track.stamp_s)
-            known = (poses[:, 0] == poses[:, 0]).nonzero()[0]
+            begins = one.system.counts_from_s
+            counts = track.stamp_s >= (begins[0][number] if begins else track.stamp_s[0])
+            known = ((poses[:, 0] == poses[:, 0]) & counts).nonzero()[0]
             suffix = f"-{number}" if len(result.route.recordings) > 1 else ""
             name = f"{slug}{suffix}-{kind}"
             estimate = Trajectory(track.stamp_s[known], track.poses[known])

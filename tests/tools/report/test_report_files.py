@@ -329,3 +329,63 @@ def test_added_trajectory_of_another_clock(
     out = tmp_path / "out"
     arguments = [str(campus), "--add", f"late={late}", "--out", str(out)]
     assert "share no time" in refuse(arguments, capsys)
+
+
+def test_output_counts_from_its_first_pose_on_poles(
+    make_runs: Maker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten seconds 5 m off, by GNSS: the start stands apart in table, JSON, picture, trajectory."""
+    run = make_runs(tmp_path, runs=1, laps=2)
+    kf = read_tum(run / "kf.tum")
+    begin = float(kf.stamp_s[0]) + 10.0
+    poses = kf.poses.copy()
+    poses[kf.stamp_s < begin, 0] += 5.0
+    (run / "kf.tum").write_text(tum_text(Trajectory(kf.stamp_s, poses)))
+
+    def report_to(name: str) -> tuple[dict[str, Any], str]:
+        assert cli.run(["report", str(run), "--out", str(tmp_path / name)]) == cli.GOOD
+        assert "settled" not in capsys.readouterr().out
+        content = json.loads((tmp_path / name / "report.json").read_text())
+        return content, (tmp_path / name / "report.html").read_text()
+
+    ages = ["" if stamp < begin else "0.1" for stamp in kf.stamp_s.tolist()]
+    rows = [f"{s!r},{age}" for s, age in zip(kf.stamp_s.tolist(), ages, strict=True)]
+    (run / "output.csv").write_text("\n".join(["stamp_s,pose_age_s", *rows]) + "\n")
+    told = report_to("told")
+    metrics = json.loads((run / "metrics.json").read_text())
+    metrics["on_poles_from_s"] = begin
+    (run / "metrics.json").write_text(json.dumps(metrics))
+    (run / "output.csv").unlink()
+    for content, page in (told, report_to("stated")):
+        one = content["accuracy"]["synthetic"]["systems"]["kf"]
+        assert one["position_rmse_m"] < 0.2
+        assert one["start_position_rmse_m"] == pytest.approx(5.0, abs=0.2)
+        assert one["poses"] + one["start_poses"] == len(kf)
+        assert "Start: position RMSE" in page
+        assert "start_poses" not in content["accuracy"]["synthetic"]["systems"]["pf"]
+    written = read_tum(tmp_path / "stated" / "trajectories" / "synthetic-kf.tum")
+    assert written.stamp_s[0] == pytest.approx(begin)
+
+
+def test_output_whose_poses_on_poles_begin_after_the_reference(
+    make_runs: Maker, tmp_path: Path
+) -> None:
+    run = make_runs(tmp_path, runs=1, laps=2)
+    metrics = json.loads((run / "metrics.json").read_text())
+    (run / "metrics.json").write_text(json.dumps({**metrics, "on_poles_from_s": 1e6}))
+    assert cli.run(["report", str(run), "--out", str(tmp_path / "out")]) == cli.GOOD
+    content = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert "position_rmse_m" not in content["accuracy"]["synthetic"]["systems"]["kf"]
+
+
+def test_a_run_without_poles_is_told_what_to_do(
+    make_runs: Maker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_runs(tmp_path, runs=1, laps=2)
+    config = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(re.sub(r"(?m)^map: .*$", "map: null", config))
+    (run / "pf.tum").write_text("")
+    assert cli.run(["report", str(run), "--out", str(tmp_path / "out")]) == cli.USER_ERROR
+    error = capsys.readouterr().err
+    assert "--without-poles" in error
+    assert f"--add NAME={run / 'kf.tum'}" in error.replace("\n", "")
