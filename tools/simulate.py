@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from polemap.drivelog.atomic import check_folder, scratch_folder
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.drive import Drive, open_drive
 from polemap.drivelog.errors import ConfigError
 from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.map.io import read_map
@@ -81,6 +82,7 @@ def command(
                 scenario, out, laps, seed, settings.simulate,
                 objects=objects, images=images, scans=scans, advance=advance,
             )  # fmt: skip
+            typer.echo("\n".join(_summary(open_drive(out), out)))
             return
         with scratch_folder() as place:
             made = simulate_drive(
@@ -90,6 +92,27 @@ def command(
             drive = open_drive(made)
             poles = read_map(made / "objects.geojson", drive.frame) if objects else None
             if layout == "kitti_raw":
-                write_kitti_raw(drive, out, poles)
+                written = write_kitti_raw(drive, out, poles)
             else:
-                write_kitti_odometry(drive, out, "00", poles.points_m if poles else None)
+                points_m = poles.points_m if poles else None
+                written = write_kitti_odometry(drive, out, "00", points_m)
+            typer.echo("\n".join(_summary(drive, written)))
+
+
+def _summary(drive: Drive, place: Path) -> list[str]:
+    """What was driven and seen, and what to do next with the drive at `place`."""
+    streams = [
+        (len(drive.frame_stamps_s), "stereo pairs"),
+        (0 if drive.odometry is None else len(drive.odometry), "odometry samples"),
+        (0 if drive.gnss is None else len(drive.gnss), "fixes"),
+        (len(drive.scans), "pole scans"),
+        (len(drive.laps), "laps"),
+    ]
+    counted = ", ".join(f"{count} {name}" for count, name in streams if count)
+    way = ""
+    if drive.reference is not None and len(drive.reference) > 1:
+        steps = np.diff(drive.reference.poses[:, :2], axis=0)
+        way = f", {np.hypot(*steps.T).sum():.0f} m"
+    seeing = drive.has_frames or drive.scans
+    follows = f"polemap map {place} --out poles.gpkg" if seeing else f"polemap info {place}"
+    return [f"{drive.duration_s:.1f} s{way}: {counted}", f"wrote {place}", f"next: {follows}"]

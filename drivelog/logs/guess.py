@@ -67,6 +67,7 @@ def guessed_mapping(paths: Sequence[Path], mapping: LogMapping) -> tuple[str, in
     lines.append("  # frame: {kind: utm, epsg: 32632}  # where absent: the zone of the first fix")
     written: set[str] = set()
     for log in logs:
+        used: set[int] = set()
         lines += ["", *_described(log)]
         if isinstance(log, PointLog):
             lines += (
@@ -76,14 +77,38 @@ def guessed_mapping(paths: Sequence[Path], mapping: LogMapping) -> tuple[str, in
             continue
         for name, required, optional in _STREAMS:
             found = {column: _candidates(log, column) for column in (*required, *optional)}
-            if name in written or not all(found[column] for column in required):
+            if name in written or not _likely(found, required, used):
                 continue
             written.add(name)
-            lines += _section(log, name, {c: f for c, f in found.items() if f})
-    if not written:
-        lines += ["", *_section(logs[0], "odometry", {"speed_mps": [], "yaw_rate_radps": []})]
+            lines += _section(log, name, {c: f for c, f in found.items() if f or c in required})
+            used |= {index for columns in found.values() for index in columns}
+        if not written and log is logs[-1]:
+            written.add("odometry")
+            lines += _section(logs[0], "odometry", {"speed_mps": [], "yaw_rate_radps": []})
+        lines += _unused(log, used | set(_candidates(log, "stamp_s")))
     text = "\n".join(lines) + "\n"
     return text, text.count(CHOOSE) - _HEAD.count(CHOOSE)
+
+
+def _likely(found: dict[str, list[int]], required: Sequence[str], used: set[int]) -> bool:
+    """Whether a log has a stream: all that it needs, or half of it in columns for nothing else."""
+    if all(found[column] for column in required):
+        return True
+    own = [column for column in required if set(found[column]) - used]
+    return 2 * len(own) >= len(required)
+
+
+def _unused(log: LogFile, used: set[int]) -> list[str]:
+    """What is to be done with columns whose names say nothing."""
+    left = [index for index in range(min(len(log.names), _SHOWN_COLUMNS)) if index not in used]
+    if not left:
+        return []
+    names = ", ".join(_name(log, index) for index in left)
+    return [
+        f"# not used, their names tell nothing: {names}. One that is needed goes into a section:",
+        f"#   speed_mps: {{column: {_name(log, left[0])}, unit: km/h}}",
+        f"# sections: {', '.join(name for name, _, _ in _STREAMS)}; docs/logs.md lists columns",
+    ]
 
 
 def _described(log: LogFile) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -186,9 +187,13 @@ def test_the_command(tmp_path: Path, street: Scenario) -> None:
     done = runner.invoke(app, ["simulate", str(world), "--out", str(out), "--no-images"])
     assert done.exit_code == 0, done.output
     assert open_drive(out).odometry is not None
+    said = done.output.splitlines()
+    assert re.match(r"[\d.]+ s, \d+ m: \d+ odometry samples, \d+ fixes", said[-3])
+    assert said[-2:] == [f"wrote {out}", f"next: polemap info {out}"]
     done = runner.invoke(app, ["simulate", str(world), "--out", str(tmp_path / "p"), "--scans"])
     assert done.exit_code == 0, done.output
     assert open_drive(tmp_path / "p").scans
+    assert f"next: polemap map {tmp_path / 'p'} --out poles.gpkg" in done.output
     assert not open_drive(tmp_path / "p").has_frames
     named = runner.invoke(app, ["simulate", "--list"])
     assert "park_loop" in named.output

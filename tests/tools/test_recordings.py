@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.errors import PolemapError
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import read_map
@@ -148,6 +149,40 @@ def test_info_lists_topics_and_writes_a_mapping_that_reads_back(
     out = tmp_path / "again"
     assert run(["convert", str(log), "--topics", str(told), "--out", str(out)]) == 0
     assert len(open_drive(out).frame_stamps_s) == 3
+
+
+def test_the_mapping_of_a_converted_drive_holds_its_car_and_laps(tmp_path: Path) -> None:
+    place = write_small(tmp_path / "folder")
+    head = yaml.safe_load((place / "drive.yaml").read_text())
+    head["vehicle"] = {"wheelbase_m": 3.21}
+    (place / "drive.yaml").write_text(yaml.safe_dump(head, sort_keys=False))
+    start = open_drive(place).span_s[0]
+    (place / "laps.csv").write_text(f"lap,start_s,end_s\nfirst,{start!r},{start + 1!r}\n")
+    log, told = tmp_path / "log.mcap", tmp_path / "topics.yaml"
+    assert run(["convert", str(place), "--out", str(log)]) == 0
+    assert run(["info", str(log), "--write-mapping", str(told)]) == 0
+    mapped, own = open_drive(log, topics=told), open_drive(log)
+    assert mapped.wheelbase_m == own.wheelbase_m == 3.21
+    assert mapped.laps == own.laps
+    assert [lap.name for lap in mapped.laps] == ["first"]
+    assert mapped.frame == own.frame
+    assert mapped.odometry is not None
+    assert own.odometry is not None
+    assert np.array_equal(mapped.odometry.speed_mps, own.odometry.speed_mps)
+    assert mapped.has_frames == own.has_frames
+    assert (mapped.rig is None) == (own.rig is None)
+
+
+def test_laps_in_a_mapping_that_cannot_be_are_told(tmp_path: Path) -> None:
+    drive, ros = open_drive(write_small(tmp_path / "folder")), Ros()
+    log = write_mcap(tmp_path / "log.mcap", ros_messages(drive, ros), ros)
+    one = {"name": "a", "start_s": 1.0, "end_s": 2.0}
+    told = mapping(tmp_path / "t.yaml", laps=[one, {**one, "end_s": 0.5}])
+    with pytest.raises(PolemapError, match="lap 'a' ends before it starts"):
+        open_drive(log, topics=told)
+    told = mapping(tmp_path / "t.yaml", laps=[one, one])
+    with pytest.raises(PolemapError, match="two are called 'a'"):
+        open_drive(log, topics=told)
 
 
 def test_info_lists_the_topics_of_a_log_that_makes_no_drive(

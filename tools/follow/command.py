@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -115,8 +115,8 @@ def _sender(
             except OSError as error:
                 # what is still in the buffer would be tried, and complained about, once more
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-                _say(f"stdout cannot be written any more ({error.strerror}): ending")
                 stop.set()
+                _say(f"stdout cannot be written any more ({error.strerror}): ending")
 
         return write
     from polemap.tools.follow.server import FoxgloveServer
@@ -197,7 +197,8 @@ def _say_counts(counts: Any) -> None:
 
 
 def _say(text: str) -> None:
-    typer.echo(f"polemap: {text}", err=True)
+    with suppress(OSError):  # nobody reads stderr; the poses go on
+        typer.echo(f"polemap: {text}", err=True)
 
 
 def check_options(asked: dict[str, Any]) -> None:

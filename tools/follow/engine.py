@@ -114,20 +114,23 @@ class Engine:
         period = 1.0 / self._rate_hz
         number: int | None = None
         beats = 0
-        while not stop.is_set():
-            ended = not threads[0].is_alive()
-            number = self._ticks(number, send)
-            if self._error is not None or ended:
-                break
-            if beats % 10 == 0:
-                watch()
-            beats += 1
-            stop.wait(period)
-        self._stop.set()
-        with self._waiting:
-            self._read_all = True
-            self._waiting.notify_all()
-        threads[1].join()
+        try:
+            while not stop.is_set():
+                ended = not threads[0].is_alive()
+                number = self._ticks(number, send)
+                if self._error is not None or ended:
+                    break
+                if beats % 10 == 0:
+                    watch()
+                beats += 1
+                stop.wait(period)
+        finally:
+            # also when `send` fails: a thread inside compiled code when the process ends aborts it
+            self._stop.set()
+            with self._waiting:
+                self._read_all = True
+                self._waiting.notify_all()
+            threads[1].join()
         self._ticks(number, send)
         if self._error is not None:
             raise self._error

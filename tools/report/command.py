@@ -175,8 +175,7 @@ def screen_table(results: Sequence[RouteResult]) -> str:
     """The headline figures for the terminal."""
     width = max(12, *(len(result.route.name) for result in results))
     head = (
-        f"{'route':{width}}  {'system':12}  {'repeatability':>15}  {'lateral RMSE':>14}  "
-        "laps  runs"
+        f"{'route':{width}}  {'system':12}  {'repeatability':>15}  {'lateral RMSE':>14}  laps  runs"
     )
     lines = [head]
     for result in results:

@@ -182,9 +182,7 @@ def _measured(plan: _Plan, sweep: Sweep) -> SweptRoute:
     values = []
     for value, groups in zip(sweep.values, plan.runs[sweep.name], strict=True):
         runs = tuple(tuple(_result(one) for one in group) for group in groups)
-        systems = [
-            filter_system(kind, kind, value.label, runs) for kind in ("pf", "kf")
-        ]
+        systems = [filter_system(kind, kind, value.label, runs) for kind in ("pf", "kf")]
         pf, kf = (measure(plan.result, system) for system in systems)
         values.append(SweptValue(value, runs, pf, kf))
     return SweptRoute(sweep, plan.result, plan.frame_rate_hz, tuple(values))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections, VisibleRegion
-from polemap.drivelog.drive import Drive
+from polemap.drivelog.drive import Drive, Lap
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic, utm_frame
@@ -85,6 +85,7 @@ class Build:
             gnss=gnss,
             reference=reference,
             scans=self._scans(signals),
+            laps=tuple(Lap(lap.name, lap.start_s, lap.end_s) for lap in mapping.laps),
             notes=tuple(dict.fromkeys(self._notes)),
             problems={name: count for name, count in self._problems.items() if count},
             findings=tuple(self._findings),

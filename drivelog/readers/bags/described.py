@@ -96,6 +96,10 @@ def own_mapping(topics: Collection[str], described: Drive) -> m.Mapping:
                                              "name": frame.name}),
         "vehicle": m.VehiclePart(wheelbase_m=described.wheelbase_m, base_frame="base_link"),
         "camera": None, "odometry": None, "gnss": None, "reference": None,
+        "laps": tuple(
+            m.LapPart(name=lap.name, start_s=lap.start_s, end_s=lap.end_s)
+            for lap in described.laps
+        ),
     }  # fmt: skip
     if all(image_topic(side) in topics for side in SIDES):
         sides = {

@@ -49,7 +49,7 @@ class Topic:
         count: messages of it, the undecodable ones included.
         first_log_ns, last_log_ns: when the first and the last were recorded.
         frame_id, child_frame_id: of the first message.
-        first: the first message, of cameras and joints; None of the others.
+        first: the first message, of cameras and joints, and `first_data` its bytes; None of others.
         undecodable: messages that could not be read, and why the first could not.
     """
 
@@ -62,6 +62,7 @@ class Topic:
     frame_id: str = ""
     child_frame_id: str = ""
     first: Any = None
+    first_data: bytes = b""
     differs: int = 0
     undecodable: int = 0
     reason: str = ""
@@ -264,18 +265,18 @@ class _Builder:
             if topic.kind == "transforms":
                 self.transforms.add(transforms_of(content))
                 return
-            self._keep(way, content)
+            self._keep(way, content, message.data)
         topic._stamps.append(stamp)
         topic._logs.append(message.log_ns)
 
-    def _keep(self, way: _Way, content: Any) -> None:
+    def _keep(self, way: _Way, content: Any, data: bytes) -> None:
         topic = way.topic
         if not topic._stamps:
             header = getattr(content, "header", content)
             topic.frame_id = str(getattr(header, "frame_id", "")).lstrip("/")
             topic.child_frame_id = str(getattr(content, "child_frame_id", "")).lstrip("/")
             if topic.kind in ("camera", "joints"):
-                topic.first = content
+                topic.first, topic.first_data = content, data
             if topic.kind == "joints" and topic.name not in self._fields:
                 count = len(content.velocity)
                 topic.columns = tuple(f"velocity[{joint}]" for joint in range(count))

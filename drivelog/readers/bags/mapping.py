@@ -164,6 +164,20 @@ class FramePart(_Part):
     name: str | None = Field(None, min_length=1, max_length=200)
 
 
+class LapPart(_Part):
+    """A named part of the recording, in seconds of its stamps."""
+
+    name: str = Field(min_length=1, max_length=200)
+    start_s: float = _Finite
+    end_s: float = _Finite
+
+    @model_validator(mode="after")
+    def _ends_after_it_starts(self) -> LapPart:
+        if self.end_s <= self.start_s:
+            raise ValueError(f"lap '{self.name[:60]}' ends before it starts; exchange the two")
+        return self
+
+
 class Mapping(_Part):
     """All of a mapping; a part that is left out is guessed, one that is null is not used."""
 
@@ -174,6 +188,15 @@ class Mapping(_Part):
     odometry: OdometryPart | None = None
     gnss: GnssPart | None = None
     reference: ReferencePart | None = None
+    laps: tuple[LapPart, ...] = Field((), max_length=10_000)
+
+    @model_validator(mode="after")
+    def _laps_have_names_of_their_own(self) -> Mapping:
+        names = [lap.name for lap in self.laps]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"laps: two are called '{twice[:60]}'; rename one")
+        return self
 
     def fields(self) -> dict[str, tuple[str, ...]]:
         """Further fields that one pass has to keep, by topic."""

@@ -12,6 +12,7 @@ from polemap.drivelog.readers.bags import mapping as m
 from polemap.drivelog.readers.bags.build import Build
 from polemap.drivelog.readers.bags.described import (
     HEAD,
+    Description,
     attached_files,
     describe,
     own_mapping,
@@ -20,6 +21,7 @@ from polemap.drivelog.readers.bags.described import (
 from polemap.drivelog.readers.bags.files import is_log, open_containers
 from polemap.drivelog.readers.bags.guess import Guess, guess
 from polemap.drivelog.readers.bags.index import LogIndex, build_index
+from polemap.drivelog.readers.bags.kept_index import kept_or_walked
 from polemap.parsing.errors import named
 
 
@@ -44,11 +46,9 @@ class LogReader:
             InputError: no recording, or one that cannot be used; mistakes in the mapping.
         """
         index, made = survey(path, topics)
-        files = attached_files(path) if topics is None else {}
-        if HEAD not in files:
+        known = _described(path) if topics is None else None
+        if known is None:
             return Build(path, index, made).drive()
-        known = describe(files, str(path))
-        made = Guess(own_mapping(index.topics, known.drive))
         read = Build(path, index, made, known.view).drive()
         return with_description(read, known.drive)
 
@@ -66,7 +66,16 @@ def survey(path: Path, topics: Path | None = None) -> tuple[LogIndex, Guess]:
         index = _indexed(files, tuple(_version(file.path) for file in files), fields)
     if told is not None and topics is not None:
         m.check_topics(told, index, topics)
+    known = _described(path) if told is None else None
+    if known is not None:
+        return index, guess(index, own_mapping(index.topics, known.drive))
     return index, guess(index, told)
+
+
+def _described(path: Path) -> Description | None:
+    """What is attached to a recording that `polemap convert` wrote; None of any other."""
+    files = attached_files(path)
+    return describe(files, str(path)) if HEAD in files else None
 
 
 def _version(path: Path) -> tuple[int, int]:
@@ -76,8 +85,9 @@ def _version(path: Path) -> tuple[int, int]:
 
 @lru_cache(maxsize=2)
 def _indexed(files: tuple[Any, ...], _versions: Any, fields: tuple[Any, ...]) -> LogIndex:
-    """One pass a recording and process: commands open a drive more than once."""
-    return build_index(files, dict(fields))
+    """One pass a recording: commands open a drive more than once, and one follows another."""
+    wanted = dict(fields)
+    return kept_or_walked(files, wanted, lambda: build_index(files, wanted))
 
 
 def forget() -> None:

@@ -36,7 +36,7 @@ class TransformTree:
     """First transform of every pair of frames; pairs that move are known and not used."""
 
     def __init__(self) -> None:
-        self._pairs: dict[tuple[str, str], tuple[Floats, Floats]] = {}
+        self.pairs: dict[tuple[str, str], tuple[Floats, Floats]] = {}
         self.moving: set[tuple[str, str]] = set()
 
     def add(self, transforms: Iterator[tuple[str, str, Floats, Floats]]) -> None:
@@ -46,9 +46,9 @@ class TransformTree:
             if not (np.isfinite(translation).all() and np.isfinite(size) and size > 0.5):
                 continue
             quaternion = quaternion / size
-            known = self._pairs.get((parent, child))
+            known = self.pairs.get((parent, child))
             if known is None:
-                self._pairs[parent, child] = translation, quaternion
+                self.pairs[parent, child] = translation, quaternion
             elif (parent, child) not in self.moving:
                 apart = np.abs(known[0] - translation).max()
                 turned = 1.0 - abs(float(known[1] @ quaternion))
@@ -58,7 +58,7 @@ class TransformTree:
     @property
     def frames(self) -> set[str]:
         """Every frame that is named."""
-        return {name for pair in self._pairs for name in pair}
+        return {name for pair in self.pairs for name in pair}
 
     def fixed(self, target: str, source: str) -> Floats | None:
         """`(4, 4)` target from source over transforms that do not move; None without such a way."""
@@ -68,7 +68,7 @@ class TransformTree:
         todo: deque[tuple[str, Floats]] = deque([(target, np.eye(4))])
         while todo:
             name, matrix = todo.popleft()
-            for (parent, child), (translation, quaternion) in self._pairs.items():
+            for (parent, child), (translation, quaternion) in self.pairs.items():
                 if (parent, child) in self.moving or name not in (parent, child):
                     continue
                 step = rigid_from_quaternion(translation, quaternion)

@@ -231,6 +231,27 @@ def test_without_a_mapping_one_is_offered_and_completes(
     assert "is there already" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("names", "section", "unused"),
+    [
+        (("t [s]", "speed [m/s]", "foo"), "odometry", '"foo"'),
+        (("t [s]", "east", "north", "foo", "bar"), "reference", '"foo", "bar"'),
+        (("t [s]", "foo", "bar"), "odometry", '"foo", "bar"'),
+    ],
+)
+def test_columns_whose_names_tell_nothing_have_a_place_in_the_mapping(
+    names: tuple[str, ...], section: str, unused: str, tmp_path: Path
+) -> None:
+    log, made = tmp_path / "log.csv", tmp_path / "map.yaml"
+    rows = [",".join(str(0.1 * row + column) for column in range(len(names))) for row in range(30)]
+    log.write_text("\n".join([",".join(names), *rows]) + "\n")
+    assert cli.run(["convert", str(log), "--write-mapping", str(made)]) == cli.GOOD
+    text = made.read_text()
+    assert list(yaml.safe_load(text)) == ["drive", section]
+    assert f"their names tell nothing: {unused}." in text
+    assert "column: CHOOSE" in text
+
+
 def test_two_logs_need_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a.csv", "b.csv"):
         (tmp_path / name).write_text(GOOD)

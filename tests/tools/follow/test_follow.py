@@ -16,11 +16,15 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.drive import open_drive
+from polemap.drivelog.live.growing import GrowingBytes
 from polemap.drivelog.samples import Detections, GnssFix, OdometrySample, ReferencePose
 from polemap.drivelog.writers.folder import write_drive
 from polemap.drivelog.writers.ros.drive import write_drive_mcap
 from polemap.map.io import write_map
+from polemap.settings import Settings
 from polemap.tools import cli
+from polemap.tools.follow.engine import Engine
+from polemap.tools.follow.source import open_followed
 from tests.localize.point_drives import street_drive
 
 FEW = ["--set", "localize.particles=150"]
@@ -181,6 +185,34 @@ def test_a_reader_that_goes_away_costs_no_run(street: Path, tmp_path: Path) -> N
     assert process.wait(timeout=60) == cli.GOOD
     assert "stdout cannot be written any more" in said
     assert (tmp_path / "run" / "kf.tum").stat().st_size > 0
+
+
+def test_a_reader_of_both_streams_that_goes_away_costs_no_run(street: Path, tmp_path: Path) -> None:
+    """As `2>&1 | head` does; pictures may be looked at while nothing can be said any more."""
+    resting = tmp_path / "resting.mcap"
+    resting.write_bytes((street / "d.mcap").read_bytes()[:-4000])
+    words = command(resting, "--map", street / "map.gpkg", "--out", tmp_path / "run", *FEW)
+    process = subprocess.Popen(
+        words, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert process.stdout is not None
+    while (line := process.stdout.readline()) and not line.startswith("{"):
+        pass
+    process.stdout.close()
+    assert process.wait(timeout=60) == cli.GOOD
+    assert (tmp_path / "run" / "kf.tum").stat().st_size > 0
+
+
+def test_an_output_that_fails_ends_the_threads_first(street: Path) -> None:
+    source = GrowingBytes(str(street / "d.mcap"), threading.Event())
+    engine = Engine(open_followed(source, None, None), None, Settings(), 0)
+
+    def send(_tick: Any) -> None:
+        raise RuntimeError("no more")
+
+    with pytest.raises(RuntimeError, match="no more"):
+        engine.run(threading.Event(), send, lambda: None)
+    assert "pictures" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_a_resting_file_ends_where_that_is_asked_for(
