@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError, PolemapError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import read_tum
 from polemap.evaluation.alignment import Alignment, align
 from polemap.evaluation.routes import Recording, Route, median_track, same_course, unused_name

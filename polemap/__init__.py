@@ -48,7 +48,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time __getattr__ does
     from polemap.api.localization import Localizer, replay
     from polemap.api.maps import build_map
     from polemap.api.poles import Perception
-    from polemap.drivelog.drive import open_drive
+    from polemap.drivelog.readers.registry import open_drive
     from polemap.errors import PolemapError
     from polemap.map.io import read_map, write_map
     from polemap.settings import Settings
@@ -76,7 +76,7 @@ _HOMES = {
     "Settings": "polemap.settings",
     "build_map": "polemap.api.maps",
     "evaluate": "polemap.api.accuracy",
-    "open_drive": "polemap.drivelog.drive",
+    "open_drive": "polemap.drivelog.readers.registry",
     "read_map": "polemap.map.io",
     "replay": "polemap.api.localization",
     "write_map": "polemap.map.io",

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_folder, scratch_folder
-from polemap.drivelog.drive import Lap, open_drive
+from polemap.drivelog.drive import Lap
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.folder import FolderWriter, folder_writer, write_drive
 from polemap.extras import check_installed
 from polemap.map.io import read_map, write_map

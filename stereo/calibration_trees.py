@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from polemap.stereo.calibration import (
     CameraCalibration,
-    CameraInfo,
     Rectification,
     StereoCalibration,
-    camera_info,
     check_rotation,
     lens_model,
-    of_camera_infos,
 )
+from polemap.stereo.camera_info import CameraInfo, camera_info, of_camera_infos
 from polemap.stereo.errors import StereoError
 
 Floats = NDArray[np.float64]

@@ -13,13 +13,9 @@ from numpy.typing import NDArray
 from polemap.parsing.errors import named, short
 from polemap.parsing.opencv_text import parse_opencv
 from polemap.parsing.text import MEGABYTE, read_text
-from polemap.stereo.calibration import (
-    CameraCalibration,
-    Rectification,
-    StereoCalibration,
-    of_camera_infos,
-)
+from polemap.stereo.calibration import CameraCalibration, Rectification, StereoCalibration
 from polemap.stereo.calibration_trees import Stated, of_kalibr, of_opencv, of_ros
+from polemap.stereo.camera_info import of_camera_infos
 from polemap.stereo.errors import StereoError
 
 Floats = NDArray[np.float64]

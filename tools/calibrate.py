@@ -14,8 +14,9 @@ from polemap.calibration.check import calibrate
 from polemap.calibration.result import Calibration
 from polemap.calibration.rows import RowAgreement
 from polemap.drivelog.atomic import atomic_file, atomic_folder, check_folder
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import OutputError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.parsing.json_text import plain_values
 from polemap.settings import load_settings
 from polemap.tools.option_types import ConfigOption, SeedOption, SetOption, TopicsOption

@@ -6,7 +6,7 @@ and function of each, which is imported when it is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from polemap.drivelog.drive import reader_of
 from polemap.drivelog.errors import ConfigError, InputError
+from polemap.drivelog.readers.registry import reader_of
 from polemap.tools.option_types import ForceOption, SeedOption, TopicsOption
 
 Source = Literal["drive", "run", "log"]
@@ -166,16 +166,26 @@ def command(
         mapping=mapping, wheelbase_m=wheelbase_m, day=day, force=force,
     )  # fmt: skip
     target = form or FORM_OF_ENDING.get(out.suffix.lower(), "folder")
+    lines = _conversion(inputs[0], source, target)(request)
+    typer.echo("\n".join(lines))
+
+
+def _conversion(path: Path, source: Source, target: str) -> Callable[[Request], Sequence[str]]:
+    """What turns one into the other; loaded when it is needed.
+
+    Raises:
+        ConfigError: nothing does.
+    """
     place = CONVERSIONS.get((source, target))
     if place is None:
         known = ", ".join(form for kind, form in CONVERSIONS if kind == source)
         raise ConfigError(
-            f"convert: {inputs[0]} is a {source} and cannot become '{target}'; --to takes "
+            f"convert: {path} is a {source} and cannot become '{target}'; --to takes "
             f"{known or 'nothing'} for a {source}"
         )
     module, _, function = place.partition(":")
-    lines: Sequence[str] = getattr(import_module(module), function)(request)
-    typer.echo("\n".join(lines))
+    found: Callable[[Request], Sequence[str]] = getattr(import_module(module), function)
+    return found
 
 
 def kind_of(path: Path) -> Source:

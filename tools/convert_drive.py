@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from polemap.drivelog.atomic import check_file, check_folder
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.folder import write_drive
 from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.extras import check_installed

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from polemap.drivelog.atomic import atomic_file, check_file, check_folder
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError, InputError, OutputError
-from polemap.drivelog.logs.convert import Converted, convert_logs, converted_folder, write_rows
+from polemap.drivelog.logs.convert import Converted, convert_logs
 from polemap.drivelog.logs.guess import guessed_mapping
 from polemap.drivelog.logs.mapping import SIGNALS, LogMapping, read_log_mapping
+from polemap.drivelog.logs.write import converted_folder, write_rows
+from polemap.drivelog.readers.registry import open_drive
 from polemap.electric.io import KNOWN
 from polemap.tools.convert import Request
 from polemap.tools.findings import require_plausible

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from polemap.drivelog.atomic import check_file
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError, InputError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.trajectory import check_trajectory_file, write_trajectory
 from polemap.tools.convert import Request
 from polemap.tools.recording.opened import open_run

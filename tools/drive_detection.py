@@ -22,10 +22,11 @@ from polemap.config import PolemapConfig
 from polemap.drivelog.atomic import scratch_folder
 from polemap.drivelog.camera_motion import CameraTrack, track_camera
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.jobs import Advance, LocalWorkers, run_jobs
 from polemap.drivelog.odometry_choice import with_odometry
+from polemap.drivelog.readers.registry import open_drive
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.tools.detection_cache import (

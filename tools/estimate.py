@@ -108,18 +108,23 @@ def command(
         raise ConfigError(f"--estimator {estimator}: choose one of {', '.join(known_estimators())}")
     config = load_estimator_config(config_file, set_values, signals)
     if derive_gps:
-        signals = gps_from_truth(
-            signals,
-            np.random.default_rng(seed),
-            course_sd_rad=config.course_sd_rad,
-            speed_sd_mps=config.speed_sd_mps,
-        )
-        sys.stderr.write("note: GPS is derived from the reference with seeded noise, not real\n")
+        signals = _with_gps(signals, config, seed)
     played = run_estimator(estimator, signals, car, config, log)
     write_estimates(played, out)
     scores = score(estimator, played, signals, car, scored_from_s)
     if scores:
         sys.stdout.write(json.dumps(scores) + "\n")
+
+
+def _with_gps(signals: SignalLog, config: EstimatorConfig, seed: int) -> SignalLog:
+    made = gps_from_truth(
+        signals,
+        np.random.default_rng(seed),
+        course_sd_rad=config.course_sd_rad,
+        speed_sd_mps=config.speed_sd_mps,
+    )
+    sys.stderr.write("note: GPS is derived from the reference with seeded noise, not real\n")
+    return made
 
 
 def _read(log: Path, mapping: Path | None, car: Car) -> tuple[SignalLog, float]:

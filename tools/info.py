@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from polemap.build.history import COLUMN
 from polemap.drivelog.atomic import check_file
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
 from polemap.drivelog.readers.bags.describe import describe_topics, write_mapping
 from polemap.drivelog.readers.bags.files import is_log
 from polemap.drivelog.readers.bags.reader import survey
+from polemap.drivelog.readers.registry import open_drive
 from polemap.errors import PolemapError
 from polemap.map.io import MAP_ENDINGS, read_map
 from polemap.map.plausibility import check_map, check_map_of_drive

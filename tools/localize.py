@@ -9,23 +9,28 @@ from typing import Annotated, Any
 import typer
 
 from polemap.drivelog.atomic import atomic_folder, check_folder
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError
 from polemap.evaluation.verdict import verdict_lines
 from polemap.localize.config import for_car
 from polemap.localize.replay import check_inputs
 from polemap.map.io import read_map
-from polemap.settings import load_settings
+from polemap.map.pole_map import PoleMap
+from polemap.settings import Settings, load_settings
 from polemap.tools.drive_detection import DriveDetections, Source, detect_drive
 from polemap.tools.findings import require_plausible
 from polemap.tools.follow.command import Asked, check_options, follow
+from polemap.tools.follow.option_types import CarOption, FollowOption, IdleOption, ServeOption
 from polemap.tools.monte_carlo import Replay, run_many, shared_runs
 from polemap.tools.option_types import (
     ConfigOption,
     ForceOption,
+    LapOption,
     OdometryOption,
     SeedOption,
     SetOption,
     TopicsOption,
+    WorkersOption,
 )
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
@@ -41,38 +46,23 @@ def command(
     map_file: Annotated[
         Path | None, typer.Option("--map", help="Pole map: gpkg, geojson, parquet or csv.")
     ] = None,
-    lap: Annotated[
-        str | None, typer.Option("--lap", help="A row of laps.csv, or FIRST:LAST.")
-    ] = None,
+    lap: LapOption = None,
     runs: Annotated[
         int, typer.Option("--runs", min=1, max=10_000, help="Monte Carlo runs, one seed each.")
     ] = 1,
     without_poles: Annotated[
         bool, typer.Option("--without-poles", help="Odometry and GNSS alone, to compare with.")
     ] = False,
-    workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Processes; default: cores.")
-    ] = None,
+    workers: WorkersOption = None,
     cache: Annotated[
         Path | None,
         typer.Option("--cache", help="Keeps detections and finished runs: a killed call goes on."),
     ] = None,
     topics: TopicsOption = None,
-    followed: Annotated[
-        str | None,
-        typer.Option("--follow", help="Live: a growing MCAP file, or - for standard input."),
-    ] = None,
-    car: Annotated[
-        Path | None, typer.Option("--car", help="With --follow: a drive of the same car.")
-    ] = None,
-    serve: Annotated[
-        str | None,
-        typer.Option("--serve", help="With --follow: [HOST:]PORT of a Foxglove WebSocket."),
-    ] = None,
-    idle_s: Annotated[
-        float | None,
-        typer.Option("--idle", min=0.1, help="With --follow: end if a file rests for SECONDS."),
-    ] = None,
+    followed: FollowOption = None,
+    car: CarOption = None,
+    serve: ServeOption = None,
+    idle_s: IdleOption = None,
     odometry: OdometryOption = "auto",
     force: ForceOption = False,
     seed: SeedOption = 0,
@@ -107,10 +97,7 @@ def command(
         return follow(Asked(followed, map_file, car, topics, out, serve, idle_s, seed, settings))
     if drive is None or out is None:
         raise ConfigError("localize: DRIVE and --out are needed (or --follow SOURCE)")
-    lone = next((name for name, given in (("--car", car), ("--serve", serve), ("--idle", idle_s))
-                 if given is not None), None)  # fmt: skip
-    if lone is not None:
-        raise ConfigError(f"{lone} goes with --follow; drop it")
+    _refuse_live_options({"--car": car, "--serve": serve, "--idle": idle_s})
     check_folder(out, "run", (drive, map_file, cache, config, topics))
     settings = load_settings(config, set_values)
     _check_map(map_file, without_poles)
@@ -123,10 +110,7 @@ def command(
     settings = settings.model_copy(update={"localize": localize})
     detected = DriveDetections((), {})
     if pole_map is not None:
-        check_inputs(opened, pole_map, has_poles=opened.has_frames or bool(opened.scans))
-        total = len(opened.frame_stamps_s) if opened.has_frames else len(opened.scans)
-        with progress(total, "detecting poles") as advance:
-            detected = detect_drive(source, opened, settings, processes, cache, advance)
+        detected = _detect(source, opened, pole_map, settings, processes, cache)
     job = Replay(source, map_file, pole_map, detected, settings, opened.frame)
     kept = None if cache is None or runs == 1 else cache / f"runs-{job.key(opened)}"
     with shared_runs(kept), atomic_folder(out, "run") as folder:
@@ -137,6 +121,27 @@ def command(
     map_notes = pole_map.notes if pole_map is not None else ()
     typer.echo(_table(metrics, map_notes, out))
     return 0
+
+
+def _refuse_live_options(given: dict[str, Any]) -> None:
+    lone = next((name for name, value in given.items() if value is not None), None)
+    if lone is not None:
+        raise ConfigError(f"{lone} goes with --follow; drop it")
+
+
+def _detect(
+    source: Source,
+    drive: Drive,
+    pole_map: PoleMap,
+    settings: Settings,
+    processes: int,
+    cache: Path | None,
+) -> DriveDetections:
+    """What is seen of poles along the drive, once for all runs."""
+    check_inputs(drive, pole_map, has_poles=drive.has_frames or bool(drive.scans))
+    total = len(drive.frame_stamps_s) if drive.has_frames else len(drive.scans)
+    with progress(total, "detecting poles") as advance:
+        return detect_drive(source, drive, settings, processes, cache, advance)
 
 
 def _check_map(map_file: Path | None, without_poles: bool) -> None:

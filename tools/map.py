@@ -15,16 +15,16 @@ from polemap.build.city.cluster import open_cluster
 from polemap.build.city.io import clear
 from polemap.build.city.tiles import TILE_M
 from polemap.build.city.work import DriveTask, observe_all, on_workers
-from polemap.build.map_diff import CHANGE, DISTANCE, compare_maps, diff_map
 from polemap.drivelog.atomic import check_files, reserved
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.jobs import LocalWorkers, Workers
-from polemap.map.io import check_writable, export_map, read_map, write_map
+from polemap.map.io import check_writable, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
 from polemap.tools.drive_detection import Source
 from polemap.tools.findings import require_plausible
+from polemap.tools.map_files import compare, convert_map
 from polemap.tools.map_picture import (
     check_picture,
     draw_map,
@@ -35,6 +35,7 @@ from polemap.tools.map_worker import observe_task, scan
 from polemap.tools.option_types import (
     ConfigOption,
     ForceOption,
+    LapOption,
     OdometryOption,
     SeedOption,
     SetOption,
@@ -45,18 +46,50 @@ from polemap.tools.progress import progress
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
-    """Where the poles of drives are detected."""
+class _Job:
+    """What a map is built from, how, and where to."""
 
-    checkpoints: Path
+    paths: list[Path]
+    out: Path
+    lap: str | None
+    old: PoleMap | None
+    topics: Path | None
+    odometry: str
+    seed: int
     workers: int | None
     scheduler: str | None
+    align: bool
+    settings: Settings
 
-    def opened(self, drives: int) -> AbstractContextManager[Workers]:
+    @property
+    def mapping(self) -> str | None:
+        """The file that maps topics, found from every process."""
+        return None if self.topics is None else str(self.topics.resolve())
+
+    @property
+    def checkpoints(self) -> Path:
+        """Keeps the drives that are done, so that a killed build goes on."""
+        return self.out.parent / f".{self.out.name}.checkpoints"
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether this process does it all."""
+        return self.workers is None and self.scheduler is None
+
+    def drives(self) -> list[Drive]:
+        """The drives, opened; with their motion where this process detects their poles."""
+        sources = [Source(str(p), self.lap, self.mapping, self.odometry) for p in self.paths]
+        return [s.open(self.seed) if self.is_serial else s.recorded(self.seed) for s in sources]
+
+    def build(self, drives: list[Drive]) -> BuiltMap:
+        """The map of the drives, in this process or by workers: the same either way."""
+        return _build(self, drives) if self.is_serial else _build_in_processes(self, drives)
+
+    def pool(self) -> AbstractContextManager[Workers]:
         """The workers of the scheduler, or processes of this machine."""
         if self.scheduler is not None:
             return open_cluster(self.scheduler)
-        return nullcontext(LocalWorkers(min(self.workers or 1, max(drives, 1))))
+        return nullcontext(LocalWorkers(min(self.workers or 1, max(len(self.paths), 1))))
 
 
 def command(
@@ -69,7 +102,7 @@ def command(
     out: Annotated[
         Path | None, typer.Option("--out", help="Map to write: .gpkg, .geojson or .parquet.")
     ] = None,
-    lap: Annotated[str | None, typer.Option("--lap", help="Keep to this row of laps.csv.")] = None,
+    lap: LapOption = None,
     update: Annotated[
         Path | None, typer.Option("--update", help="A map to bring up to date with the drives.")
     ] = None,
@@ -124,10 +157,10 @@ def command(
     check_files(written[1:], [update])
     settings = load_settings(config, set_values)
     if diff:
-        _compare(drives or [], out, align)
+        compare(drives or [], out, align)
         return
     if convert is not None:
-        _convert(convert, drives or [], out, seed, topics)
+        convert_map(convert, drives or [], out, seed, topics)
         return
     if not drives:
         raise InputError("no drive is given: polemap map DRIVE... --out MAP")
@@ -136,127 +169,64 @@ def command(
     check_writable(out)
     check_picture(picture)
     with reserved(out):
-        serial = workers is None and scheduler is None
-        mapping = None if topics is None else str(topics.resolve())
-        parts = [Source(str(path), lap, mapping, odometry) for path in drives]
-        opened = [part.open(seed) if serial else part.recorded(seed) for part in parts]
-        for drive in opened:
-            require_plausible(drive.name, find(drive), force=force)
         # the map keeps its own zone: drives come to it
         old = read_map(update, allow_empty=True) if update is not None else None
         for note in old.notes if old is not None else ():
             typer.echo(f"note: {update}: {note}")
-        place = _Place(out.parent / f".{out.name}.checkpoints", workers, scheduler)
-        if serial:
-            built = _build(opened, settings, old, align)
-        else:
-            tasks = _tasks(drives, opened, lap, seed, settings, old, mapping, odometry)
-            built = _build_in_processes(opened, tasks, settings, old, align, place)
-        if not len(built.pole_map):
-            raise InputError(
-                f"no pole was found in {len(opened)} drives, {out} was not written; try a lower "
-                "--set polemap.mapping.observations_min"
-            )
-        write_map(built.pole_map, out)
-        if place.checkpoints.is_dir():
-            clear(place.checkpoints)
-        _show(built.pole_map, opened, settings, picture, layer)
-        _say(built, opened, out)
+        job = _Job(drives, out, lap, old, topics, odometry, seed, workers, scheduler, align,
+                   settings)  # fmt: skip
+        _make(job, picture, layer, force=force)
 
 
-def _compare(maps: list[Path], out: Path | None, align: bool) -> None:
-    if len(maps) != 2:
-        raise InputError(f"--diff compares two maps, {len(maps)} are given: --diff OLD NEW")
-    if out is not None:
-        check_writable(out)
-    before = read_map(maps[0], allow_empty=True)
-    after = read_map(maps[1], before.frame, allow_empty=True)
-    found = compare_maps(before, after, align=align)
-    changes = diff_map(before, after, found)
-    if found.shift.significant:
-        east, north = found.shift.move_m
-        remedy = "it was taken away" if align else "--align would take it away"
-        typer.echo(
-            f"note: {maps[1]} is off by {-east:+.2f} m east, {-north:+.2f} m north; {remedy}"
+def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -> None:
+    opened = job.drives()
+    for drive in opened:
+        require_plausible(drive.name, find(drive), force=force)
+    built = job.build(opened)
+    if not len(built.pole_map):
+        raise InputError(
+            f"no pole was found in {len(opened)} drives, {job.out} was not written; try a lower "
+            "--set polemap.mapping.observations_min"
         )
-    if out is not None:
-        write_map(changes, out)
-    typer.echo(
-        f"{len(found.added)} added, {len(found.removed)} removed, {len(found.moved)} moved, "
-        f"{len(found.same)} as before"
-    )
-    for row in range(len(changes)):
-        east, north = changes.points_m[row]
-        distance = changes.extra[DISTANCE][row]
-        far = f" by {distance:.2f} m" if np.isfinite(distance) else ""
-        change = changes.extra[CHANGE][row]
-        typer.echo(f"{change:<8} pole {changes.ids[row]} at {east:.2f}, {north:.2f}{far}")
+    write_map(built.pole_map, job.out)
+    if job.checkpoints.is_dir():
+        clear(job.checkpoints)
+    _show(built.pole_map, opened, job.settings, picture, layer)
+    _say(built, opened, job.out)
 
 
-def _convert(
-    source: Path, drives: list[Path], out: Path | None, seed: int, topics: Path | None
-) -> None:
-    if out is None:
-        raise InputError("--out is missing: its ending chooses the format to convert to")
-    frame = open_drive(drives[0], seed=seed, topics=topics).frame if drives else None
-    pole_map = read_map(source, frame)
-    export_map(pole_map, out)
-    for note in pole_map.notes:
-        typer.echo(f"note: {note}")
-    typer.echo(f"{out}: {len(pole_map)} poles in {pole_map.frame}")
-
-
-def _build(drives: list[Drive], settings: Settings, old: PoleMap | None, align: bool) -> BuiltMap:
+def _build(job: _Job, drives: list[Drive]) -> BuiltMap:
     total = sum(len(d.frame_stamps_s) if d.has_frames else len(d.scans) for d in drives)
     with progress(total, "detecting poles") as advance:
         return build_map(
             drives,
-            settings.polemap,
-            lambda drive: scan(drive, settings, advance),
-            update=old,
-            align=align,
+            job.settings.polemap,
+            lambda drive: scan(drive, job.settings, advance),
+            update=job.old,
+            align=job.align,
         )
 
 
-def _tasks(
-    paths: list[Path],
-    drives: list[Drive],
-    lap: str | None,
-    seed: int,
-    settings: Settings,
-    old: PoleMap | None,
-    mapping: str | None,
-    odometry: str,
-) -> list[DriveTask]:
-    """A task a drive, for workers that open it by themselves."""
-    frame = old.frame if old is not None else drives[0].frame
-    text = settings.model_dump_json()
-    return [
-        DriveTask(str(path.resolve()), name, lap, seed, frame, text, mapping, odometry)
-        for path, name in zip(paths, unique_names(drives), strict=True)
+def _build_in_processes(job: _Job, drives: list[Drive]) -> BuiltMap:
+    """A drive a worker; what they finished survives a killed run."""
+    frame = job.old.frame if job.old is not None else drives[0].frame
+    text = job.settings.model_dump_json()
+    tasks = [
+        DriveTask(
+            str(path.resolve()), name, job.lap, job.seed, frame, text, job.mapping, job.odometry
+        )
+        for path, name in zip(job.paths, unique_names(drives), strict=True)
     ]
-
-
-def _build_in_processes(
-    drives: list[Drive],
-    tasks: list[DriveTask],
-    settings: Settings,
-    old: PoleMap | None,
-    align: bool,
-    place: _Place,
-) -> BuiltMap:
-    """The same map by workers, a drive each; what they finished survives a killed run."""
-    mapping = settings.polemap.mapping
-    with place.opened(len(tasks)) as workers:
+    with job.pool() as workers:
         with progress(len(drives), "drives") as advance:
-            parts = observe_all(tasks, observe_task, place.checkpoints, workers, advance)
+            parts = observe_all(tasks, observe_task, job.checkpoints, workers, advance)
         with progress(None, "merging tiles") as advance:
             return assemble_map(
                 parts,
-                mapping,
-                tasks[0].frame,
-                update=old,
-                align=align,
+                job.settings.polemap.mapping,
+                frame,
+                update=job.old,
+                align=job.align,
                 run=on_workers(workers, advance),
                 tile_m=TILE_M,
             )

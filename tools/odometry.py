@@ -10,12 +10,18 @@ import typer
 
 from polemap.drivelog.atomic import atomic_file, check_files
 from polemap.drivelog.camera_motion import CameraTrack, PlanarMotion, track_camera
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import spatial_tum_text
 from polemap.settings import load_settings
 from polemap.tools.findings import require_plausible
-from polemap.tools.option_types import ConfigOption, ForceOption, SetOption, TopicsOption
+from polemap.tools.option_types import (
+    ConfigOption,
+    ForceOption,
+    LapOption,
+    SetOption,
+    TopicsOption,
+)
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 
@@ -28,7 +34,7 @@ def command(
     table: Annotated[
         Path | None, typer.Option("--csv", help="Speed and yaw rate, as odometry.csv of a drive.")
     ] = None,
-    lap: Annotated[str | None, typer.Option("--lap", help="Keep to this row of laps.csv.")] = None,
+    lap: LapOption = None,
     topics: TopicsOption = None,
     force: ForceOption = False,
     config: ConfigOption = None,

@@ -31,3 +31,9 @@ TopicsOption = Annotated[
     Path | None,
     typer.Option("--topics", help="Mapping of a log's topics (info --write-mapping writes one)."),
 ]
+LapOption = Annotated[
+    str | None, typer.Option("--lap", help="Keep to a row of laps.csv, or to FIRST:LAST.")
+]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", min=1, help="Processes; default: cores.")
+]

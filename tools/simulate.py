@@ -9,8 +9,9 @@ import numpy as np
 import typer
 
 from polemap.drivelog.atomic import check_folder, scratch_folder
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.map.io import read_map
 from polemap.settings import load_settings

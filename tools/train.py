@@ -14,8 +14,8 @@ from polemap import __version__
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.models.io import write_classifier
 from polemap.drivelog.atomic import check_file
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.map.io import read_map
 from polemap.settings import Settings, load_settings
 from polemap.stereo.matching import make_matcher

@@ -18,7 +18,7 @@ import yaml
 from rosbags.typesys import Stores
 
 from polemap.detect.models.io import read_classifier, write_classifier
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.images import read_grey
 from polemap.drivelog.logs.convert import convert_logs
@@ -26,6 +26,7 @@ from polemap.drivelog.logs.mapping import LogMapping, read_log_mapping
 from polemap.drivelog.readers.bags import reader as log_reader
 from polemap.drivelog.readers.bags.describe import describe_topics
 from polemap.drivelog.readers.bags.describe import write_mapping as write_topics
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.electric.comma2k19.io import FILES as COMMA_FILES
@@ -41,7 +42,7 @@ from polemap.simulate.scenario import load_scenario
 from polemap.stereo.io import read_calibration, read_kitti_calibration
 from polemap.tools.detection_cache import read_scans
 from polemap.vehicle.io import dump_car, load_car
-from tests.drivelog.bags import recordings
+from tests.drivelog.bags import foxglove_recordings, recordings
 from tests.drivelog.drives import write_small
 from tests.stereo.calibrations import (
     make_calibration,
@@ -154,14 +155,14 @@ def _recordings(folder: Path, drive: Drive, add: Add) -> None:
     place.mkdir()
     ros, one = recordings.Ros(), recordings.Ros(Stores.ROS1_NOETIC)
     said, said_one = (recordings.ros_messages(drive, made) for made in (ros, one))
-    foxglove = recordings.foxglove_messages(drive)
+    foxglove = foxglove_recordings.foxglove_messages(drive)
     made = {
         "bag": recordings.write_rosbag1(place / "a.bag", said_one, one),
         "bag lz4": recordings.write_rosbag1(place / "b.bag", said_one, one, "LZ4"),
         "mcap plain": recordings.write_mcap(place / "c.mcap", said, ros, "NONE"),
         "mcap zstd": recordings.write_mcap(place / "d.mcap", said, ros, "ZSTD"),
-        "mcap protobuf": recordings.write_foxglove(place / "e.mcap", foxglove, "protobuf"),
-        "mcap json": recordings.write_foxglove(place / "f.mcap", foxglove, "json"),
+        "mcap protobuf": foxglove_recordings.write_foxglove(place / "e.mcap", foxglove, "protobuf"),
+        "mcap json": foxglove_recordings.write_foxglove(place / "f.mcap", foxglove, "json"),
     }
     for name, path in made.items():
         add(f"recordings/{name}", path, partial(_open_recording, path))

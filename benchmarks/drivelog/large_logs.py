@@ -31,7 +31,7 @@ _MEASURE = """
 import json, resource, sys, time
 import numpy as np
 from pathlib import Path
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 
 def peak_mb():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

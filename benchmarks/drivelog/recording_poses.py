@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores
 
 from benchmarks.harness import RECORDINGS, Figures
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import read_map

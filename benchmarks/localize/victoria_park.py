@@ -24,8 +24,9 @@ from benchmarks.localize.particle_filter_recovery import A_THIRD_OF_THE_NOISE
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.jobs import LocalWorkers, in_order
+from polemap.drivelog.readers.registry import open_drive
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import Run, replay
 from polemap.map.pole_map import PoleMap

@@ -25,8 +25,9 @@ from benchmarks.evaluate.report_routes import CORNERS_M, short_world
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.jobs import LocalWorkers, in_order
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import Image, StereoFrame
 from polemap.evaluation.errors import nees, pose_errors
 from polemap.localize.config import LocalizeConfig

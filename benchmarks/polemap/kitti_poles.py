@@ -17,7 +17,8 @@ from benchmarks.harness import RECORDINGS
 from polemap.config import PolemapConfig
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.models.io import read_classifier
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
 from polemap.map.pole_map import PoleMap

@@ -27,7 +27,7 @@ from benchmarks.harness import RECORDINGS, compared
 from benchmarks.simulate.streets import open_street
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.perception import PolePerception, samples_in_order
 from polemap.stereo.config import StereoConfig

@@ -21,7 +21,7 @@ from sklearn.metrics import average_precision_score
 from benchmarks.polemap.kitti_poles import KITTI, UNMAPPED
 from polemap.config import PolemapConfig
 from polemap.detect.classifier import PoleClassifier
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.map.io import read_map
 from polemap.simulate.camera_mounting import kitti_camera
 from polemap.simulate.config import SimulateConfig

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.harness import RECORDINGS, Figures
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.stereo.odometry.camera_odometry import CameraOdometry
 from polemap.stereo.odometry.motion import vehicle_step
 from polemap.stereo.rig import StereoRig

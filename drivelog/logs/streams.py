@@ -4,55 +4,25 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.frames import EarthFrame, grid_from_geographic, grid_yaw
 from polemap.drivelog.logs.column_parts import Stamps, Value
 from polemap.drivelog.logs.columns import Wanted, membership, stamps_wanted, values_of
 from polemap.drivelog.logs.log_files import LogFile
 from polemap.drivelog.logs.mapping import HEADINGS, SIGNALS, STREAMS, TEXTS, StreamPart
-from polemap.drivelog.logs.table import Values
+from polemap.drivelog.logs.resampling import held_or_linear
+from polemap.drivelog.logs.rows import Rows
 from polemap.drivelog.logs.times import leap_seconds_on
 from polemap.drivelog.problems import Gathered
-from polemap.vehicle.pose import rotate, wrap_angle
 
 Floats = NDArray[np.float64]
 
 # rows of several senders may come a little out of order; a clock that is set back is another thing
 _BACK_MOST_S = 1.0
 _POSITIONS = (("latitude_deg", "longitude_deg"), ("east_m", "north_m"))
-
-
-@dataclass(slots=True)
-class Rows:
-    """Rows of a stream, and what became of the rest.
-
-    Attributes:
-        columns: by our names, `(n,)` each; `stamp_s` among them.
-        rows_read: in the logs.
-        dropped: rows left out, by reason.
-        notes: what a reader of the result must know.
-    """
-
-    columns: dict[str, Values]
-    rows_read: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-    notes: list[str] = field(default_factory=list)
-
-    def numbers(self, name: str) -> Floats:
-        """A column of numbers."""
-        return np.asarray(self.columns[name], dtype=np.float64)
-
-    def keep(self, rows: NDArray[np.bool_], reason: str) -> None:
-        """Leave the other rows out, counted under a reason."""
-        lost = int(np.count_nonzero(~rows))
-        if lost:
-            self.dropped[reason] += lost
-            self.columns = {name: values[rows] for name, values in self.columns.items()}
 
 
 def read_stream(part: StreamPart, logs: Sequence[LogFile], others: Mapping[str, LogFile]) -> Rows:
@@ -239,42 +209,6 @@ def _fill(part: StreamPart, name: str, value: Value, log: LogFile, rows: Rows) -
     )
 
 
-def held_or_linear(
-    at_s: Floats,
-    stamps_s: Floats,
-    values: Floats,
-    how: str,
-    most_s: float,
-    *,
-    is_angle: bool = False,
-) -> Floats:
-    """Values `(n,)` at stamps `(n,)` from samples `(m,)`; NaN where they are too far away.
-
-    Args:
-        at_s: where values are asked for.
-        stamps_s, values: the samples, stamps rising.
-        how: `linear` between two samples, or `previous`.
-        most_s: the two samples may be apart by this; the previous one may be as old.
-        is_angle: radians, the short way around.
-    """
-    if not len(stamps_s):
-        return np.full(len(at_s), np.nan)
-    after = np.searchsorted(stamps_s, at_s, side="left")
-    exact = (after < len(stamps_s)) & (stamps_s[np.minimum(after, len(stamps_s) - 1)] == at_s)
-    before = np.where(exact, after, after - 1)
-    inside = before >= 0
-    low = np.maximum(before, 0)
-    if how == "previous":
-        return np.where(inside & (at_s - stamps_s[low] <= most_s), values[low], np.nan)
-    high = np.minimum(np.where(exact, low, low + 1), len(stamps_s) - 1)
-    near = inside & (
-        exact | ((before + 1 < len(stamps_s)) & (stamps_s[high] - stamps_s[low] <= most_s))
-    )
-    smooth = np.unwrap(values) if is_angle else values
-    found = np.interp(at_s, stamps_s, smooth)
-    return np.where(near, wrap_angle(found) if is_angle else found, np.nan)
-
-
 def _drop_incomplete(part: StreamPart, rows: Rows) -> None:
     """Rows without a value that the stream must have."""
     required, _ = STREAMS.get(part.name, ((), ()))
@@ -292,55 +226,3 @@ def _drop_incomplete(part: StreamPart, rows: Rows) -> None:
         filled = [np.isfinite(rows.numbers(n)) for n in rows.columns if n != "stamp_s"]
         if filled:
             rows.keep(np.any(filled, axis=0), "no signal given")
-
-
-def place_reference(part: StreamPart, rows: Rows, frame: EarthFrame) -> None:
-    """Turn a reference's positions and headings into poses of the rear axle in the frame.
-
-    Raises:
-        InputError: degrees or geographic headings where the frame is local.
-    """
-    if "latitude_deg" in rows.columns:
-        _require_utm(part, frame, "latitudes and longitudes")
-        points = grid_from_geographic(
-            frame, rows.numbers("latitude_deg"), rows.numbers("longitude_deg")
-        )
-        del rows.columns["latitude_deg"], rows.columns["longitude_deg"]
-    else:
-        points = np.stack([rows.numbers("east_m"), rows.numbers("north_m")], axis=1)
-    yaw = headings(part, "yaw_rad", rows.numbers("yaw_rad"), frame, points)
-    if part.measured_at is not None:
-        lever = np.array([part.measured_at.x_m, part.measured_at.y_m])
-        points = points - rotate(np.broadcast_to(lever, points.shape), yaw)
-    rows.columns |= {"east_m": points[:, 0], "north_m": points[:, 1], "yaw_rad": yaw}
-
-
-def headings(
-    part: StreamPart,
-    name: str,
-    angles_rad: Floats,
-    frame: EarthFrame | None,
-    points_m: Floats | None,
-) -> Floats:
-    """Yaws counter-clockwise from grid east of headings `(n,)` as the mapping says they count.
-
-    Raises:
-        InputError: geographic north where the frame is local.
-    """
-    value = part.values.get(name)
-    if value is None or value.zero is None:
-        return np.asarray(wrap_angle(angles_rad))
-    sign = -1.0 if value.turn == "clockwise" else 1.0
-    yaw = sign * angles_rad + (np.pi / 2.0 if value.zero.endswith("north") else 0.0)
-    if value.zero.startswith("true") and frame is not None and points_m is not None:
-        _require_utm(part, frame, "headings from geographic north or east")
-        yaw = grid_yaw(frame, yaw, points_m)
-    return np.asarray(wrap_angle(yaw))
-
-
-def _require_utm(part: StreamPart, frame: EarthFrame, what: str) -> None:
-    if not frame.is_utm:
-        raise InputError(
-            f"{part.name}: {what} need a UTM frame, and this is {frame}; give `frame: {{kind: utm, "
-            "epsg: ...}` in `drive`, or grid_north and metres"
-        )

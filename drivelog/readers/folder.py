@@ -8,33 +8,32 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.drive import Drive, FrameSource, Lap
+from polemap.drivelog.drive import Drive, FrameSource
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
-from polemap.drivelog.frames import EarthFrame, grid_from_geographic
+from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.problems import Gathered
 from polemap.drivelog.readers.columns import FILES, required_columns
-from polemap.drivelog.readers.drive_yaml import (
-    LONGEST_NAME,
-    DriveYaml,
-    VehiclePart,
-    read_drive_yaml,
-)
+from polemap.drivelog.readers.drive_yaml import DriveYaml, read_drive_yaml
+from polemap.drivelog.readers.drive_yaml_parts import VehiclePart
 from polemap.drivelog.readers.folder_camera import FolderCamera, read_camera
-from polemap.drivelog.readers.given import is_given, row_findings, without_zero_fixes
-from polemap.drivelog.readers.poles import read_scans
-from polemap.drivelog.stamps import in_order, in_seconds
-from polemap.drivelog.streams import (
-    GnssStream,
-    OdometryCorrection,
-    OdometryStream,
-    ReferenceStream,
+from polemap.drivelog.readers.folder_streams import (
+    arrivals,
+    read_gnss,
+    read_laps,
+    read_odometry,
+    read_reference,
 )
-from polemap.drivelog.tables import Table, check_header, read_table
+from polemap.drivelog.readers.given import is_given
+from polemap.drivelog.readers.poles import read_scans
+from polemap.drivelog.stamps import in_order
+from polemap.drivelog.streams import (
+    OdometryCorrection,
+)
+from polemap.drivelog.tables import check_header, read_table
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import car_names, load_car
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 # a typed wheelbase is rounded to centimetres
@@ -78,10 +77,10 @@ class FolderReader:
         if camera is not None or head.camera is None:
             frames = gathered.attempt(_frames, folder, head, camera, problems, findings, notes)
         scans = gathered.attempt(read_scans, folder, head.pole_detector, problems, findings)
-        odometry = gathered.attempt(_odometry, folder, correction, problems, findings, notes)
-        gnss = gathered.attempt(_gnss, folder, frame, problems, findings)
-        reference = gathered.attempt(_reference, folder, problems, findings)
-        laps = gathered.attempt(_laps, folder, findings)
+        odometry = gathered.attempt(read_odometry, folder, correction, problems, findings, notes)
+        gnss = gathered.attempt(read_gnss, folder, frame, problems, findings)
+        reference = gathered.attempt(read_reference, folder, problems, findings)
+        laps = gathered.attempt(read_laps, folder, findings)
         if car is None or frames is None or scans is None or laps is None or gathered.errors:
             raise gathered.error(folder)
         notes += [scans[1]] if scans[1] else []
@@ -139,41 +138,6 @@ def _camera(folder: Path, head: DriveYaml) -> FolderCamera | None:
     return read_camera(folder, head.camera, head.allow_links) if head.camera else None
 
 
-def count_problems(table: Table, problems: Counter[str]) -> Table:
-    """Add what was left out of a table to the drive's problems, under the file's name."""
-    for reason, count in table.dropped.items():
-        problems[f"{table.path.stem}_{reason}"] += count
-    return table
-
-
-def arrivals(table: Table, problems: Counter[str]) -> Floats:
-    """Times of arrival `(n,)`: the stamps where the file has none or one before its stamp."""
-    stamps = table["stamp_s"]
-    if "arrival_s" not in table:
-        return stamps
-    given = table["arrival_s"]
-    usable = np.isfinite(given) & (given >= stamps)
-    lost = int(np.count_nonzero(np.isfinite(given) & (given < stamps)))
-    if lost:
-        problems[f"{table.path.stem}_arrival_before_stamp"] += lost
-    return np.asarray(np.where(usable, given, stamps))
-
-
-def _sensor(
-    path: Path,
-    columns: tuple[str, ...],
-    optional: tuple[str, ...],
-    problems: Counter[str],
-    findings: list[Finding],
-) -> Table:
-    table = read_table(path, ("stamp_s", *columns), optional=optional)
-    table = in_order(table, findings, duplicates="drop")
-    if path.name == "gnss.csv":
-        table = without_zero_fixes(table, columns)
-    findings += row_findings(table)
-    return count_problems(table, problems)
-
-
 def _frames(
     folder: Path,
     head: DriveYaml,
@@ -223,102 +187,6 @@ def _inside(folder: Path, text: object, index: Path, outside: list[Path] | None)
             )
         outside.append(path)
     return path
-
-
-def _odometry(
-    folder: Path,
-    correction: OdometryCorrection | None,
-    problems: Counter[str],
-    findings: list[Finding],
-    notes: list[str],
-) -> OdometryStream | None:
-    path = folder / "odometry.csv"
-    if not is_given(path):
-        return None
-    table = _sensor(path, ("speed_mps", "yaw_rate_radps"), ("arrival_s",), problems, findings)
-    stream = OdometryStream(
-        table["stamp_s"], arrivals(table, problems), table["speed_mps"], table["yaw_rate_radps"]
-    )
-    if correction is None:
-        return stream
-    notes.append(
-        f"odometry.csv is corrected by drive.yaml: speeds divided by {correction.speed_scale:g}, "
-        f"stamps {correction.delay_s:g} s earlier"
-    )
-    return correction.apply(stream)
-
-
-def _gnss(
-    folder: Path, frame: EarthFrame, problems: Counter[str], findings: list[Finding]
-) -> GnssStream | None:
-    path = folder / "gnss.csv"
-    if not is_given(path):
-        return None
-    if frame.is_utm:
-        table = _sensor(
-            path, ("latitude_deg", "longitude_deg"), ("hdop", "arrival_s"), problems, findings
-        )
-        latitude, longitude = table["latitude_deg"], table["longitude_deg"]
-        bad = np.flatnonzero((np.abs(latitude) > 90) | (np.abs(longitude) > 180))
-        if len(bad):
-            row = int(bad[0])
-            raise InputError(
-                f"{path}, line {table.lines[row]}: {latitude[row]}, {longitude[row]} is no "
-                "latitude and longitude in degrees"
-            )
-        points = grid_from_geographic(frame, latitude, longitude)
-    else:
-        table = _sensor(path, ("east_m", "north_m"), ("hdop", "arrival_s"), problems, findings)
-        points = np.stack([table["east_m"], table["north_m"]], axis=1)
-    hdop = table["hdop"] if "hdop" in table else np.ones(len(table))
-    unusable = int(np.count_nonzero(~(np.isfinite(hdop) & (hdop > 0))))
-    if unusable:
-        problems["gnss_hdop_unusable"] += unusable
-    return GnssStream(
-        table["stamp_s"],
-        arrivals(table, problems),
-        points[:, 0],
-        points[:, 1],
-        np.where(np.isfinite(hdop) & (hdop > 0), hdop, 1.0),
-    )
-
-
-def _reference(
-    folder: Path, problems: Counter[str], findings: list[Finding]
-) -> ReferenceStream | None:
-    path = folder / "reference.csv"
-    if not is_given(path):
-        return None
-    table = _sensor(path, ("east_m", "north_m", "yaw_rad"), ("sd_m",), problems, findings)
-    poses = np.stack([table["east_m"], table["north_m"], wrap_angle(table["yaw_rad"])], axis=1)
-    sd = table["sd_m"] if "sd_m" in table else np.full(len(table), np.nan)
-    unusable = int(np.count_nonzero(sd <= 0.0))
-    if unusable:
-        problems["reference_sd_not_positive"] += unusable
-        sd = np.where(sd > 0.0, sd, np.nan)
-    return ReferenceStream(table["stamp_s"], poses, sd)
-
-
-def _laps(folder: Path, findings: list[Finding]) -> tuple[Lap, ...]:
-    path = folder / "laps.csv"
-    if not is_given(path):
-        return ()
-    table = read_table(path, ("start_s", "end_s"), texts=("lap",), drop_not_finite=False)
-    table = in_seconds(table, findings, "start_s")
-    laps = []
-    for row, name in enumerate(table.texts["lap"]):
-        start, end = float(table["start_s"][row]), float(table["end_s"][row])
-        if not str(name).isprintable() or len(str(name)) > LONGEST_NAME:
-            raise InputError(
-                f"{path}, line {table.lines[row]}: lap {ascii(name)[:40]} is no name of up to "
-                f"{LONGEST_NAME} printable characters"
-            )
-        if not start < end:
-            raise InputError(f"{path}, line {table.lines[row]}: lap '{name}' ends before it starts")
-        laps.append(Lap(str(name), start, end))
-    if len({lap.name for lap in laps}) < len(laps):
-        raise InputError(f"{path}: two laps have the same name")
-    return tuple(laps)
 
 
 reader = FolderReader()

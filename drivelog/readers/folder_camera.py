@@ -8,7 +8,7 @@ from pathlib import Path
 from polemap.drivelog.drive import FrameSource
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.images import LARGEST_BYTES, ImagePairs, RectifiedPairs
-from polemap.drivelog.readers.drive_yaml import CameraPart, MountingPart, RawCameraPart
+from polemap.drivelog.readers.drive_yaml_parts import CameraPart, MountingPart, RawCameraPart
 from polemap.parsing.errors import named
 from polemap.parsing.pictures import check_size
 from polemap.parsing.text import read_bytes

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
-from polemap.drivelog.readers.drive_yaml import DetectorPart
+from polemap.drivelog.readers.drive_yaml_parts import DetectorPart
 from polemap.drivelog.readers.given import is_given, row_findings
 from polemap.drivelog.stamps import in_order
 from polemap.drivelog.tables import Table, read_table

@@ -12,11 +12,11 @@ from polemap.drivelog.atomic import atomic_folder
 from polemap.drivelog.errors import OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.readers.columns import FILES, required_columns
-from polemap.drivelog.readers.drive_yaml import (
+from polemap.drivelog.readers.drive_yaml import DriveYaml
+from polemap.drivelog.readers.drive_yaml_parts import (
     AntennaPart,
     CameraPart,
     DetectorPart,
-    DriveYaml,
     MountingPart,
     OdometryPart,
 )

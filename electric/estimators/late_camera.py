@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,29 +31,20 @@ class Capture:
     driven: Floats
 
 
-class LateCameraFilter(VisionFilter):
-    """State `[beta, gamma, psi, y_l]`; keeps the captures whose pictures are on their way."""
+class LateCameraFilter(VisionFilter, ABC):
+    """State `[beta, gamma, psi, y_l]`; how a late picture corrects it is left open."""
 
     def __init__(self, car: Car, config: EstimatorConfig, clones: int = 0) -> None:
         super().__init__(car, config)
         self._filter = ClonedFilter(np.zeros(4), initial_covariance(config), SEEN, clones)
-        self._captures: list[Capture] = []
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         model = self._model(stamp_s, inputs)
-        if model is None:
-            return
-        self._filter.predict(*model)
-        transition, driven, _ = model
-        for capture in self._captures:
-            capture.carried = transition @ capture.carried
-            capture.driven = transition @ capture.driven + driven
+        if model is not None:
+            self._predict(*model)
 
-    def capture(self, kind: str, stamp_s: float) -> None:
-        if kind == CAMERA:
-            f = self._filter
-            now = Capture(stamp_s, f.x.copy(), f.p.copy(), np.eye(4), np.zeros(4))
-            self._captures = [*self._captures, now][-self._config.camera_slots :]
+    def _predict(self, transition: Floats, driven: Floats, noise: Floats) -> None:
+        self._filter.predict(transition, driven, noise)
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == YAW_RATE:
@@ -68,17 +60,9 @@ class LateCameraFilter(VisionFilter):
     def _take_yaw_rate(self, value_radps: float) -> None:
         self._filter.scalar(1, value_radps, self._gyro_variance)
 
+    @abstractmethod
     def _take_picture(self, measured: Floats, stamp_s: float) -> bool:
         """Correct by heading and offset `(2,)` of a capture; False where there was none."""
-        for capture in self._captures:
-            if abs(capture.stamp_s - stamp_s) < 1e-6:
-                self._captures = [one for one in self._captures if one is not capture]
-                self._correct(capture, measured)
-                return True
-        return False
-
-    def _correct(self, capture: Capture, measured: Floats) -> None:
-        raise NotImplementedError
 
     def estimate(self) -> Estimate:
         return self._output(self._filter.x[:4].copy(), self._filter.p[:4, :4])
@@ -113,7 +97,39 @@ class CloneKalman(LateCameraFilter):
         return True
 
 
-class MeasurementReconstructionKalman(LateCameraFilter):
+class StoredCaptureFilter(LateCameraFilter):
+    """Keeps the states at the captures whose pictures are on their way."""
+
+    def __init__(self, car: Car, config: EstimatorConfig) -> None:
+        super().__init__(car, config)
+        self._captures: list[Capture] = []
+
+    def _predict(self, transition: Floats, driven: Floats, noise: Floats) -> None:
+        super()._predict(transition, driven, noise)
+        for capture in self._captures:
+            capture.carried = transition @ capture.carried
+            capture.driven = transition @ capture.driven + driven
+
+    def capture(self, kind: str, stamp_s: float) -> None:
+        if kind == CAMERA:
+            f = self._filter
+            now = Capture(stamp_s, f.x.copy(), f.p.copy(), np.eye(4), np.zeros(4))
+            self._captures = [*self._captures, now][-self._config.camera_slots :]
+
+    def _take_picture(self, measured: Floats, stamp_s: float) -> bool:
+        for capture in self._captures:
+            if abs(capture.stamp_s - stamp_s) < 1e-6:
+                self._captures = [one for one in self._captures if one is not capture]
+                self._correct(capture, measured)
+                return True
+        return False
+
+    @abstractmethod
+    def _correct(self, capture: Capture, measured: Floats) -> None:
+        """Correct by heading and offset `(2,)` of the picture of a capture."""
+
+
+class MeasurementReconstructionKalman(StoredCaptureFilter):
     """The GPS paper's way: what would the picture show if it were taken now?
 
     The measured heading and offset take their places in the stored state of the capture, the model
@@ -132,7 +148,7 @@ class MeasurementReconstructionKalman(LateCameraFilter):
         self._filter.update(SEEN, now[2:] - self._filter.x[2:], self._camera_noise)
 
 
-class UnevenDelayKalman(LateCameraFilter):
+class UnevenDelayKalman(StoredCaptureFilter):
     """Delays that change from picture to picture: the residual against the state that was seen.
 
     `x += K_k (y - C x_s)` with the present gain and x_s stored *after* an arrival of the same
@@ -146,7 +162,7 @@ class UnevenDelayKalman(LateCameraFilter):
         self._filter.update(SEEN, measured - SEEN @ capture.mean, self._camera_noise)
 
 
-class ReconstructionKalman(LateCameraFilter):
+class ReconstructionKalman(StoredCaptureFilter):
     """The gain of the capture carried to now by what the filter did since.
 
     `x_k += M K_s (y - C x_s)`, `P_k -= M K_s S_s K_s' M'` with `M = prod (I - K C) G`. Its

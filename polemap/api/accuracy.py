@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.streams import ReferenceStream
 from polemap.drivelog.tum import read_tum
 from polemap.evaluation.errors import accuracy

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
-from polemap.drivelog.drive import Drive, GnssStream, Lap, OdometryStream, ReferenceStream
+from polemap.drivelog.drive import Drive, Lap
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.drivelog.writers.folder import folder_writer
 from polemap.stereo.rig import Mounting, StereoRig
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.drivelog.writers.folder import folder_writer, write_drive
 from polemap.vehicle.io import dump_car, load_car

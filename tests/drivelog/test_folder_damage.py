@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError, PolemapError
+from polemap.drivelog.readers.registry import open_drive
 from tests.drivelog.drives import edit
 
 

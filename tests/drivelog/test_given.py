@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.plausibility.check import check_drive
+from polemap.drivelog.readers.registry import open_drive
 
 STREAMS = ("odometry.csv", "gnss.csv", "reference.csv", "poles.csv", "scans.csv")
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, convergence_rad, grid_from_geographic
 from polemap.drivelog.readers import derived
 from polemap.drivelog.readers.kitti_clock import read_timestamps
+from polemap.drivelog.readers.registry import open_drive
 from tests.drivelog.drives import picture, png
 
 Recording = Callable[[str], Path]

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.stereo.rectify import Rectifier
 from tests.drivelog.drives import picture, png
 from tests.drivelog.test_kitti import make_sequence, stamp

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.images import read_grey
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tables import largest, read_table
 from polemap.drivelog.tum import read_tum
 from polemap.map.io import read_map, write_map

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.stereo.calibration import StereoCalibration
 from polemap.stereo.rectify import Rectifier
 from polemap.tools.cli import run

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.registry import open_drive
 from tests.drivelog.drives import write_small
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.evaluation.laps import Span, find_stretches, road_length_m
 from polemap.evaluation.meanpath import REACH_M
 from polemap.vehicle.trajectory import Trajectory

@@ -13,9 +13,10 @@ from polemap.config import PolemapConfig
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import ground_from_mounting
 from polemap.drivelog.detections import Detections, pole_detections
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.evaluation.detections import evidence, match, record, score_frames, score_tracks
 from polemap.map.io import read_map

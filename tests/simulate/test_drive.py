@@ -11,8 +11,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.map.io import read_map
 from polemap.simulate import studio as module
 from polemap.simulate.config import RenderConfig, SimulateConfig

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
 from polemap.map.io import read_map
 from polemap.simulate.camera_mounting import kitti_camera

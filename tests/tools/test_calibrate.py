@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.stereo.rig import Mounting
 from polemap.tools.cli import run
 from tests.calibration.street import DELAY_S, SCALE, TRUE, write_street

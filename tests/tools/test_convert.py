@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import write_map

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.tools.detection_cache import (

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import Mistakes
 from polemap.drivelog.readers.columns import FILES
 from polemap.drivelog.readers.drive_yaml import DriveYaml
+from polemap.drivelog.readers.registry import open_drive
 from polemap.tools import cli
 
 ALL = ",".join(FILES)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import PolemapError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import read_map

@@ -28,7 +28,7 @@ from polemap.extras import need
 from polemap.map.pole_map import PoleMap
 from polemap.tools.follow.engine import Tick
 from polemap.tools.follow.lines import tick_values
-from polemap.tools.recording.foxglove import car_message, poles_message
+from polemap.tools.recording.foxglove_shapes import car_message, poles_message
 from polemap.tools.recording.scene import ORIGIN_STEP_M, poles_of
 from polemap.vehicle.pose import pose_rotation
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from polemap.drivelog.detections import Detections, VisibleRegion
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.images import RectifiedPairs
 from polemap.drivelog.live.growing import GrowingBytes
@@ -33,6 +33,7 @@ from polemap.drivelog.readers.bags.mapping import Mapping, read_mapping
 from polemap.drivelog.readers.bags.reader import survey
 from polemap.drivelog.readers.drive_yaml import read_drive_yaml
 from polemap.drivelog.readers.poles import stated_view
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.stereo.rectify import Rectifier
 

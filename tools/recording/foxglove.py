@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
-from polemap.drivelog.detections import Detections
-from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.drivelog.frames import geographic_from_grid
 from polemap.drivelog.writers.ros import messages as ros
 from polemap.drivelog.writers.ros.mcap_file import mcap_file
-from polemap.drivelog.writers.ros.types import message_types, named_values
+from polemap.drivelog.writers.ros.types import message_types
+from polemap.tools.recording.foxglove_shapes import (
+    car_message,
+    picture_annotations,
+    poles_message,
+    seen_poles_message,
+)
 from polemap.tools.recording.layout import layout
-from polemap.tools.recording.scene import HEIGHT_M, WIDTH_M, Picture, Poles, Scene
+from polemap.tools.recording.scene import Scene
 from polemap.vehicle.pose import pose_rotation
 
 Floats = NDArray[np.float64]
@@ -33,13 +38,7 @@ IMAGE, INFO, NOTES_ON_IMAGE = (
 )  # fmt: skip
 FIX = "/localization/fix"
 
-_MAPPED, _SEEN, _CAR = (1.0, 0.6, 0.2), (0.3, 0.85, 0.25), (0.2, 0.5, 0.9)
 _OK, _WARN = 0, 1
-_CAR_SIZE_M = (4.5, 1.8, 1.5)
-_AXLE_TO_MIDDLE_M = 1.35
-# how long a pole that was seen stays drawn
-_SEEN_S = 0.5
-_LINE_LIST = 4
 
 
 def write_foxglove(
@@ -176,7 +175,7 @@ def _diagnostic(stamp_s: float, values: dict[str, float], gate: str) -> Any:
 
 def _seen(scene: Scene) -> Iterator[Event]:
     for scan in scene.scans:
-        yield scan.stamp_s, SEEN_POLES, _seen_poles(scan)
+        yield scan.stamp_s, SEEN_POLES, seen_poles_message(scan)
 
 
 def _images(scene: Scene, advance: Callable[[int], None] | None) -> Iterator[Event]:
@@ -187,106 +186,9 @@ def _images(scene: Scene, advance: Callable[[int], None] | None) -> Iterator[Eve
         stamp = picture.stamp_s
         yield stamp, INFO, ros.camera_info(rig, stamp, right=False)
         yield stamp, IMAGE, ros.compressed_image(stamp, ros.LEFT_CAMERA, "jpeg", picture.jpeg)
-        yield stamp, NOTES_ON_IMAGE, _annotations(picture)
+        yield stamp, NOTES_ON_IMAGE, picture_annotations(picture)
         if advance is not None:
             advance(1)
-
-
-def _annotations(picture: Picture) -> Any:
-    make = message_types().make
-    lines = [
-        make(
-            "foxglove_msgs/msg/PointsAnnotation",
-            timestamp=ros.time_of(picture.stamp_s), type=_LINE_LIST,
-            points=[
-                make("foxglove_msgs/msg/Point2", x=float(x), y=float(y))
-                for x, y in ends.reshape(-1, 2)
-            ],
-            outline_color=_colour(colour), outline_colors=[], fill_color=_colour(colour, 0.0),
-            thickness=thickness,
-        )
-        for ends, colour, thickness in (
-            (picture.mapped_px, _MAPPED, 3.0), (picture.seen_px, _SEEN, 2.0),
-        )
-    ]  # fmt: skip
-    return make("foxglove_msgs/msg/ImageAnnotations", circles=[], points=lines, texts=[])
-
-
-def poles_message(poles: Poles, frame: EarthFrame, stamp_s: float) -> Any:
-    """The map's poles as a SceneUpdate.
-
-    One entity for all: viewers slow down with thousands of entities, not of primitives.
-    """
-    cylinders = [
-        _cylinder(point, width, height, _MAPPED, 0.3 + 0.7 * existence)
-        for point, width, height, existence in zip(
-            poles.points_m, poles.width_m, poles.height_m, poles.existence, strict=True
-        )
-    ]
-    about = {"poles": str(len(cylinders)), "frame": str(frame)}
-    return _scene_update(stamp_s, ros.MAP, "map", cylinders=cylinders, metadata=about)
-
-
-def _seen_poles(scan: Detections) -> Any:
-    width = np.where(np.isfinite(scan.width_m), scan.width_m, WIDTH_M)
-    height = np.where(np.isfinite(scan.height_m), scan.height_m, HEIGHT_M)
-    cylinders = [
-        _cylinder(point, 1.5 * wide, high, _SEEN, 0.8)
-        for point, wide, high in zip(scan.points_vehicle_m, width, height, strict=True)
-    ]
-    return _scene_update(
-        scan.stamp_s, ros.VEHICLE, "seen", cylinders=cylinders, lifetime_s=_SEEN_S
-    )  # fmt: skip
-
-
-def car_message(stamp_s: float) -> Any:
-    """The shape of the car as a SceneUpdate that moves with it."""
-    cube = message_types().make(
-        "foxglove_msgs/msg/CubePrimitive",
-        pose=ros.pose(_AXLE_TO_MIDDLE_M, 0.0, 0.0, 0.5 * _CAR_SIZE_M[2]),
-        size=ros.vector(*_CAR_SIZE_M), color=_colour(_CAR, 0.7),
-    )  # fmt: skip
-    return _scene_update(stamp_s, ros.VEHICLE, "car", cubes=[cube], locked=True)
-
-
-def _cylinder(
-    point_m: Floats, width_m: float, height_m: float, colour: Sequence[float], opacity: float
-) -> Any:
-    return message_types().make(
-        "foxglove_msgs/msg/CylinderPrimitive",
-        pose=ros.pose(float(point_m[0]), float(point_m[1]), 0.0, 0.5 * float(height_m)),
-        size=ros.vector(width_m, width_m, height_m),
-        bottom_scale=1.0, top_scale=1.0, color=_colour(colour, float(opacity)),
-    )  # fmt: skip
-
-
-def _scene_update(
-    stamp_s: float,
-    frame: str,
-    name: str,
-    *,
-    cylinders: Sequence[Any] = (),
-    cubes: Sequence[Any] = (),
-    metadata: dict[str, str] | None = None,
-    lifetime_s: float = 0.0,
-    locked: bool = False,
-) -> Any:
-    make = message_types().make
-    seconds, rest = divmod(round(lifetime_s * 1e9), 1_000_000_000)
-    entity = make(
-        "foxglove_msgs/msg/SceneEntity",
-        timestamp=ros.time_of(stamp_s), frame_id=frame, id=name,
-        lifetime=make("builtin_interfaces/msg/Duration", sec=seconds, nanosec=rest),
-        frame_locked=locked, metadata=named_values(metadata or {}),
-        arrows=[], cubes=list(cubes), spheres=[], cylinders=list(cylinders), lines=[],
-        triangles=[], texts=[], models=[],
-    )  # fmt: skip
-    return make("foxglove_msgs/msg/SceneUpdate", deletions=[], entities=[entity])
-
-
-def _colour(rgb: Sequence[float], opacity: float = 1.0) -> Any:
-    r, g, b = rgb
-    return message_types().make("foxglove_msgs/msg/Color", r=r, g=g, b=b, a=opacity)
 
 
 def _covariance(row: Floats) -> Floats | None:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.readers.registry import open_drive
 from polemap.evaluation.runs.io import Run, RunSet, read_run_set
 from polemap.map.io import read_map
 from polemap.map.pole_map import PoleMap

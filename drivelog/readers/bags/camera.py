@@ -12,7 +12,7 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.readers.bags.index import LogIndex, Topic
 from polemap.drivelog.readers.bags.mapping import CameraPart
 from polemap.drivelog.readers.bags.vehicle_frame import VehicleFrame
-from polemap.stereo.calibration import CameraInfo, camera_info, of_camera_infos
+from polemap.stereo.camera_info import CameraInfo, camera_info, of_camera_infos
 from polemap.stereo.errors import StereoError
 from polemap.stereo.rectify import Rectifier
 from polemap.stereo.rig import Mounting, StereoRig

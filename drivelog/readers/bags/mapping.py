@@ -13,7 +13,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.problems import did_you_mean, refusal, validation_mistakes
 from polemap.drivelog.readers.bags.index import LogIndex
 from polemap.drivelog.readers.bags.types import Kind
-from polemap.drivelog.readers.drive_yaml import AntennaPart, MountingPart
+from polemap.drivelog.readers.drive_yaml_parts import AntennaPart, MountingPart
 from polemap.parsing.errors import named
 from polemap.parsing.text import MEGABYTE, read_text
 from polemap.parsing.yaml_text import parse_yaml

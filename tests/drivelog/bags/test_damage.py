@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.bags import decoding, reader
 from polemap.drivelog.readers.bags.container import LARGEST_CHUNK, decompress
+from polemap.drivelog.readers.registry import open_drive
 from polemap.extras import MissingExtraError
 from tests.drivelog.bags.recordings import (
     Ros,

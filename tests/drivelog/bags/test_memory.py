@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from tests.drivelog.bags.recordings import Ros, Said, write_mcap, write_rosbag2
 from tests.drivelog.drives import RIG
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.readers.registry import open_drive
+from tests.drivelog.bags.foxglove_recordings import foxglove_messages, write_foxglove
 from tests.drivelog.bags.recordings import (
     Ros,
-    foxglove_messages,
     ros_messages,
-    write_foxglove,
     write_mcap,
     write_rosbag1,
     write_rosbag2,

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.ros.drive import write_drive_mcap
 from polemap.vehicle.io import load_car
 from tests.drivelog.bags.test_reading import assert_same

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.live.growing import GrowingBytes
@@ -30,6 +30,7 @@ from polemap.drivelog.readers.bags.described import (
     own_mapping,
 )
 from polemap.drivelog.readers.bags.mapping import Mapping, OdometryPart, Signal
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose, StereoFrame
 from polemap.drivelog.writers.ros.drive import write_drive_mcap
 from tests.drivelog.drives import VIEW, write_small

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.tools import cli
 from tests.drivelog.logs.recorded import cells, journey, table
 

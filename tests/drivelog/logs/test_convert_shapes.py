@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.tools import cli
 from tests.drivelog.logs.recorded import (
     START_S,

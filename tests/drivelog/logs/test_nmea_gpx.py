@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.logs.gpx import read_gpx
 from polemap.drivelog.logs.nmea import read_nmea
+from polemap.drivelog.readers.registry import open_drive
 from polemap.tools import cli
 from tests.drivelog.logs.recorded import Journey, cells, journey, table, write_mapping
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import Drive, Lap, open_drive
+from polemap.drivelog.drive import Drive, Lap
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.check import check_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.folder import write_drive
 from polemap.vehicle.pose import rotate_back, wrap_angle
 from tests.drivelog.plausibility.made import (

@@ -12,7 +12,7 @@ import pytest
 from polemap.build.build_map import build_map
 from polemap.config import PolemapConfig
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import GnssFix, OdometrySample, Sample
 from polemap.localize.config import KldConfig, LocalizeConfig, OdometryConfig
 from polemap.localize.gnss.outlier_mixture import GnssReceiver

@@ -17,9 +17,10 @@ from polemap.build.config import MappingConfig
 from polemap.build.drive_observations import DriveObservations, observe_drive
 from polemap.build.map_diff import compare_maps, match_points
 from polemap.config import PolemapConfig
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.readers.registry import open_drive
 from polemap.map.pole_map import PoleMap
 from tests.polemap.town import FRAME, DriveThrough, Town, drive_through, make_town, passed, route
 

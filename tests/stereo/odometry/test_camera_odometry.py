@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from polemap.drivelog.camera_motion import track_camera
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.simulate.camera_mounting import CameraConfig
 from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.drive import simulate_drive

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import open_drive
 from polemap.drivelog.live.growing import GrowingBytes
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import Detections, GnssFix, OdometrySample, ReferencePose
 from polemap.drivelog.writers.folder import write_drive
 from polemap.drivelog.writers.ros.drive import write_drive_mcap

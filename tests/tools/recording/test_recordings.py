@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import read_tum
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import read_map, write_map
