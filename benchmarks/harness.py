@@ -8,6 +8,7 @@ it needs are missing it leaves out what needs them.
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +31,40 @@ def modules() -> list[str]:
         for path in FOLDER.glob("*/*.py")
         if "\ndef run(" in path.read_text(encoding="utf-8")
     )
+
+
+def command_line(
+    doc: str | None,
+    given: Sequence[str] | None = None,
+    /,
+    *,
+    paths: str | None = None,
+    **defaults: Any,
+) -> argparse.Namespace:
+    """Options of a benchmark that is run by itself.
+
+    Args:
+        doc: of the module; its first line is the help.
+        given: words, in place of those of the command.
+        paths: name of the words without an option, taken as paths.
+        defaults: by option; a default's type is that of the option, a type one without default,
+            False a flag, a list any of its members.
+    """
+    parser = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
+    if paths is not None:
+        parser.add_argument(paths, nargs="*", type=Path)
+    for name, default in defaults.items():
+        flag = f"--{name.replace('_', '-')}"
+        if default is False:
+            parser.add_argument(flag, action="store_true")
+        elif isinstance(default, list):
+            parser.add_argument(flag, nargs="+", default=default, choices=default)
+        elif isinstance(default, type):
+            parser.add_argument(flag, type=default)
+        else:
+            kind = Path if isinstance(default, Path) else type(default)
+            parser.add_argument(flag, type=kind, default=default)
+    return parser.parse_args(given)
 
 
 def interleaved(

@@ -7,7 +7,6 @@ what stands there already is not run again, so a campaign that was stopped goes 
 
 from __future__ import annotations
 
-import argparse
 import json
 import warnings
 from collections.abc import Iterator
@@ -17,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign.faults import KINDS
 from benchmarks.campaign.held_out import HELD_OUT
 from benchmarks.campaign.judge import judge
-from benchmarks.harness import FOLDER
+from benchmarks.campaign.kinds import KINDS
+from benchmarks.harness import FOLDER, command_line
 from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.replay import replay
@@ -87,14 +86,9 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 def main(words: list[str] | None = None) -> None:
     """Run what the words ask for, all kinds with ten seeds by default."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--kinds", default="")
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--held-out", action="store_true", help="the kinds of held_out.py")
-    given = parser.parse_args(words)
+    given = command_line(
+        __doc__, words, seeds=10, first=0, kinds="", out=RESULTS, workers=2, held_out=False
+    )
     kinds = [name for name in (HELD_OUT if given.held_out else KINDS) if given.kinds in name]
     seeds = range(given.first, given.first + given.seeds)
     for line in table(run_all(kinds, seeds, given.out, given.workers)):

@@ -7,7 +7,6 @@ ends, nothing is left of the killed ones.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import os
@@ -22,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.harness import command_line
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import write_map
 from tests.localize.point_drives import street_drive
@@ -149,10 +149,7 @@ def campaign(kills: int, seed: int, say: Callable[[str], None]) -> dict[str, obj
 
 def main() -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    chosen = parser.parse_args()
+    chosen = command_line(__doc__, kills=200, seed=0)
     result = campaign(chosen.kills, chosen.seed, print)
     print(json.dumps(result, indent=1))
     return 1 if result["wrong"] else 0

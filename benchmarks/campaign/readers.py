@@ -8,7 +8,6 @@ beyond two gigabytes. Inputs are tried in a child process, so that a crash costs
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import random
 import re
@@ -27,7 +26,7 @@ from types import FrameType, FunctionType
 from typing import Any
 
 from benchmarks.campaign.corpus import Kind, make_corpus
-from benchmarks.harness import write_results
+from benchmarks.harness import command_line, write_results
 from polemap.errors import PolemapError
 
 HANG_S = 10
@@ -250,13 +249,15 @@ def guided(name: str, seconds: int) -> None:
 
 def main() -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("readers.json"))
-    parser.add_argument("--only", help="kinds whose name holds this")
-    parser.add_argument("--atheris", metavar="KIND", help="guide by coverage instead")
-    chosen = parser.parse_args()
+    # --only takes kinds whose name holds it, --atheris a kind to guide by coverage
+    chosen = command_line(
+        __doc__,
+        seconds=600.0,
+        seed=0,
+        out=Path(__file__).with_name("readers.json"),
+        only=str,
+        atheris=str,
+    )
     if chosen.atheris:
         guided(chosen.atheris, int(chosen.seconds))
         return 0

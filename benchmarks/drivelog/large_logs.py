@@ -9,7 +9,6 @@ of its own, so that its peak of memory is that of the work alone. `run` does it 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -22,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Figures
+from benchmarks.harness import Figures, command_line
 
 WIDTH_PX, HEIGHT_PX = 1242, 375
 FRAME_NS, IMU_NS = 100_000_000, 10_000_000
@@ -209,11 +208,9 @@ def run() -> Figures:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gigabytes", type=float, default=20.0)
-    parser.add_argument("--kinds", nargs="*", default=list(WRITERS), choices=list(WRITERS))
-    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
-    options = parser.parse_args()
+    options = command_line(
+        __doc__, gigabytes=20.0, kinds=list(WRITERS), folder=Path(tempfile.gettempdir())
+    )
     for kind in options.kinds:
         found = measure(kind, options.gigabytes, options.folder)
         print(kind, json.dumps({name: round(value, 3) for name, value in found.items()}))

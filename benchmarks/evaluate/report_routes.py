@@ -11,7 +11,6 @@ benchmarks`) only times the report's own work on synthetic runs.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import time
@@ -21,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from benchmarks.harness import summary
+from benchmarks.harness import command_line, summary
 from polemap.drivelog.atomic import atomic_file
 from polemap.evaluation.laps import find_stretches
 from polemap.evaluation.repeatability import deviations, guides_of, repeatability
@@ -64,15 +63,10 @@ def run() -> dict[str, dict[str, float]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Make the evaluation; prints the time of every step."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("evaluation"))
-    parser.add_argument("--routes", nargs="+", default=list(CORNERS_M), choices=list(CORNERS_M))
-    parser.add_argument("--laps", type=int, default=6)
-    parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--sweep-runs", type=int, default=8)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=2)
-    chosen = parser.parse_args(arguments)
+    chosen = command_line(
+        __doc__, arguments, out=Path("evaluation"), routes=list(CORNERS_M), laps=6, runs=50,
+        sweep_runs=8, seed=0, workers=2,
+    )  # fmt: skip
     out: Path = chosen.out
     begin = time.monotonic()
     seed, workers = ["--seed", chosen.seed], ["--workers", chosen.workers]

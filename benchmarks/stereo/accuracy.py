@@ -11,14 +11,12 @@ benchmarks.stereo.curves` trades density against error.
 
 from __future__ import annotations
 
-import argparse
 import time
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.harness import RECORDINGS
+from benchmarks.harness import RECORDINGS, command_line
 from benchmarks.stereo.curves import fitted_law, signs
 from benchmarks.stereo.pairs import Pair, Variant, read_pairs, variants
 from benchmarks.stereo.scenes import PoleScore, rendered_scene, score_poles
@@ -111,13 +109,8 @@ def run() -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--calibrate", action="store_true")
-    parser.add_argument("--every", type=int, default=1, help="only every Nth pair")
-    options = parser.parse_args()
+    # every Nth pair
+    options = command_line(__doc__, paths="folders", calibrate=False, every=1)
     np.set_printoptions(precision=2, suppress=True, linewidth=140)
     for folder in options.folders:
         pairs = list(read_pairs(folder))[:: options.every]

@@ -8,7 +8,6 @@ the rotation in degrees a metre. Without drives the recordings beside the projec
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.harness import RECORDINGS, Figures
+from benchmarks.harness import RECORDINGS, Figures, command_line
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.readers.registry import open_drive
 from polemap.stereo.odometry.camera_odometry import CameraOdometry
@@ -143,9 +142,7 @@ def run(drives: dict[str, Path] | None = None) -> Figures:
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("drives", nargs="*", type=Path)
-    chosen = parser.parse_args().drives
+    chosen = command_line(__doc__, paths="drives").drives
     for name, row in run({path.name: path for path in chosen} or None).items():
         print(f"{name:16}", "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
 

@@ -7,7 +7,6 @@ rendered pair is matched; the time hardly depends on the content.
 
 from __future__ import annotations
 
-import argparse
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.harness import interleaved, summary
+from benchmarks.harness import command_line, interleaved, summary
 from benchmarks.stereo.pairs import read_grey
 from benchmarks.stereo.scenes import rendered_scene
 from polemap.stereo.census_sgm import KernelOptions
@@ -75,10 +74,8 @@ def _resized(path: Path) -> Image:
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("images", nargs="*", type=Path, help="LEFT RIGHT, resized to 768x480")
-    parser.add_argument("--runs", type=int, default=9)
-    options = parser.parse_args()
+    # two images LEFT RIGHT are resized to 768x480
+    options = command_line(__doc__, paths="images", runs=9)
     if options.images:
         left, right = (_resized(path) for path in options.images)
     else:

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.features import Grey, follow_rows
 from polemap.drivelog.plausibility.odometer import Odometer, of_odometry, of_reference
+from polemap.stereo.odometry.motion import fit_motion, triangulate
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import rotate
 from polemap.vehicle.pose import rotation as plane_rotation
@@ -27,7 +26,7 @@ Floats = NDArray[np.float64]
 
 _WAY_M, _STEP_MAX_S = (0.4, 4.0), 0.5
 _POINTS_MIN, _PAIRS_MIN = 20, 2
-_SPREAD_PX, _DEPTH_MIN_M = 0.5, 0.5
+_SPREAD_PX = 0.5
 # KITTI and simulated pairs: lengths within 3 %, directions within 0.7 degrees in the median
 _SCALE_DOUBT, _SCALE_WRONG = 1.12, 1.3
 _ANGLE_DOUBT_RAD, _ANGLE_WRONG_RAD = np.radians(2.5), np.radians(10.0)
@@ -108,10 +107,10 @@ def see_motion(drive: Drive, row: int, matches: StereoMatches) -> SeenMotion | N
     rig, motion = drive.rig, _motion(drive)
     if rig is None or motion is None or len(matches.first_px) < _POINTS_MIN:
         return None
-    rotation, shift, points = _solve(rig, matches)
+    next_from_first, points = _fit(rig, matches)
     mount = rig.vehicle_from_camera
     turned, place = mount.rotation(), np.array([mount.x_m, mount.y_m, mount.z_m])
-    moved = turned @ (-rotation.T @ shift)
+    moved = turned @ (-next_from_first[:3, :3].T @ next_from_first[:3, 3])
     stamps = drive.frame_stamps_s
     way, turn, _ = (float(v[0]) for v in motion.spans(stamps[[row]], stamps[[row + 1]]))
     lever = (plane_rotation(turn) - np.eye(2)) @ place[:2]
@@ -128,20 +127,18 @@ def see_motion(drive: Drive, row: int, matches: StereoMatches) -> SeenMotion | N
     )
 
 
-def _solve(rig: StereoRig, seen: StereoMatches) -> tuple[Floats, Floats, Floats]:
-    """Rotation `(3, 3)` and shift `(3,)` of the points `(n, 3)` into the next camera's axes."""
-    points = rig.camera_points(seen.first_px[:, 0], seen.first_px[:, 1], seen.first_disparity_px)
-    told = np.column_stack([seen.second_px, seen.second_disparity_px])
-    middle = np.array([rig.cx_px, rig.cy_px, 0.0])
-
-    def misses(motion: Floats) -> Floats:
-        there = Rotation.from_rotvec(motion[3:]).apply(points) + motion[:3]
-        depth = np.maximum(there[:, 2:], _DEPTH_MIN_M)
-        flat = np.column_stack([there[:, :2], np.full(len(there), rig.baseline_m)])
-        return np.asarray((rig.focal_px * flat / depth + middle - told).ravel())
-
-    found = least_squares(misses, np.zeros(6), loss="cauchy", f_scale=_SPREAD_PX, max_nfev=40)
-    return Rotation.from_rotvec(found.x[3:]).as_matrix(), found.x[:3], points
+def _fit(rig: StereoRig, seen: StereoMatches) -> tuple[Floats, Floats]:
+    """Motion `(4, 4)` of the points `(n, 3)` into the next camera's axes."""
+    first, second = (
+        np.column_stack([place, place[:, 0] - disparity])
+        for place, disparity in (
+            (seen.first_px, seen.first_disparity_px), (seen.second_px, seen.second_disparity_px),
+        )
+    )  # fmt: skip
+    noise = _SPREAD_PX**2 * np.eye(3)
+    points, covariances = triangulate(rig, first, noise)
+    fit = fit_motion(rig, points, covariances, second, noise, np.eye(4))
+    return fit.current_from_previous, points
 
 
 def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:

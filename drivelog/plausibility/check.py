@@ -151,7 +151,8 @@ def _scales(
     stream, against = "odometry.csv", judge.name
     if gnss is not None and judge is not gnss and np.isfinite(scales.speed):
         other = motion.find_scales(odometry, gnss)
-        off = abs(np.log(np.abs(scales.speed))) > 0.3
+        ratio = abs(scales.speed)
+        off = ratio > 0.0 and abs(np.log(ratio)) > 0.3
         if off and np.isfinite(other.speed) and 0.7 < other.speed < 1.4:
             stream, against = "reference.csv", "odometry.csv and gnss.csv"
             inverse = motion.Scales(1.0 / scales.speed, scales.turn, scales.speed_spans, 0)

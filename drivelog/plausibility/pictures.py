@@ -34,7 +34,6 @@ _FEATURES = 200
 # KITTI and simulated pairs: rows within 0.6 px, 89 % or more of the features within 1 px of that
 _ROWS_DOUBT_PX, _ROWS_WRONG_PX = 1.1, 1.8
 _IN_ROW_PX, _IN_ROW_SHARE = 1.0, 0.65
-_SLOPE_PX = 2.0
 _LEAST_FEATURES = 25
 _EXPOSURE = 1.8
 _DARK_SD = 4.0
