@@ -6,12 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.frames import EarthFrame, convergence_rad, geographic_from_grid
+from polemap.drivelog.readers.registry import open_drive
+from polemap.tools import cli
 
 Floats = NDArray[np.float64]
 START_S = 1_714_564_800.0  # 2024-05-01 12:00 UTC, GPS week 2312, second 302418
@@ -70,3 +74,20 @@ def write_mapping(path: Path, **sections: object) -> Path:
     tree = {"drive": {"vehicle": {"wheelbase_m": 2.7}}, **sections}
     path.write_text(yaml.safe_dump(tree, sort_keys=False), encoding="utf-8")
     return path
+
+
+def convert(tmp_path: Path, log: str | bytes, sections: dict[str, Any], *words: str) -> Drive:
+    """The drive that a log becomes by the command."""
+    path = tmp_path / "log.csv"
+    path.write_bytes(log.encode() if isinstance(log, str) else log)
+    mapping = write_mapping(tmp_path / "map.yaml", **sections)
+    arguments = ["convert", str(path), "--mapping", str(mapping), "--out", str(tmp_path / "drive")]
+    assert cli.run([*arguments, *words]) == cli.GOOD
+    return open_drive(tmp_path / "drive")
+
+
+def columns(speed: str = "v", rate: str = "gz") -> dict[str, Any]:
+    return {
+        "speed_mps": {"column": speed, "unit": "km/h"},
+        "yaw_rate_radps": {"column": rate, "unit": "deg/s"},
+    }
