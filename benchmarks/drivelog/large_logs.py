@@ -59,7 +59,7 @@ print(json.dumps({{
 _AGAIN = """
 import sys, time
 from pathlib import Path
-from polemap.drivelog.drive import open_drive
+from polemap.drivelog.readers.registry import open_drive
 
 begin = time.perf_counter()
 open_drive(Path(sys.argv[1]))

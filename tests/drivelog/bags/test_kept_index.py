@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.readers.bags import kept_index, reader
+from polemap.drivelog.readers.registry import open_drive
 from tests.drivelog.bags.recordings import Ros, ros_messages, write_mcap, write_rosbag2
 from tests.drivelog.drives import write_small
 
