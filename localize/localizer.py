@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.errors import InputError
+from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.samples import GnssFix, OdometrySample, Sample, StereoFrame
 from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.clocks import ComputerClock, StreamClock
@@ -29,6 +29,7 @@ from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.localize.pose_queue import PoseQueue, PoseUpdate, count_dropped
 from polemap.localize.stage_times import StageTimes
 from polemap.localize.usable import usable_fix, usable_odometry, usable_poles
+from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -55,7 +56,8 @@ class Localizer:
     not keep `pose_at` waiting. Samples must be added in the order in which they arrive.
 
     Args:
-        pole_map: None localizes by odometry and GNSS alone.
+        pole_map: a map in memory, or that of a city, of which what lies around the car is kept;
+            None localizes by odometry and GNSS alone.
         config: settings of the particle filter, and of the output filter in `config.output`.
         wheelbase_m: rear axle to front axle.
         rng: all randomness.
@@ -64,11 +66,13 @@ class Localizer:
         processing_delay_s: for replay; holds a pose back as long as the live system would need.
         on_update: called with every pose of the particle filter once its fate is known.
         clock: a monotonic clock in seconds; with it, `timings_s` collects the time of each stage.
+        load_in_background: of a city's map what lies ahead is read by a thread; otherwise by the
+            scan that asks for it, so that the same samples give the same poses, bit for bit.
     """
 
     def __init__(
         self,
-        pole_map: PoleMap | None,
+        pole_map: PoleMap | CityMap | None,
         config: LocalizeConfig,
         wheelbase_m: float,
         rng: np.random.Generator,
@@ -78,11 +82,20 @@ class Localizer:
         processing_delay_s: float = 0.0,
         on_update: Callable[[PoseUpdate], None] | None = None,
         clock: Callable[[], float] | None = None,
+        load_in_background: bool = True,
     ) -> None:
         antenna = (0.0, 0.0) if gnss_antenna_m is None else tuple(map(float, gnss_antenna_m))
         receiver = GnssReceiver((antenna[0], antenna[1]), config.gnss)
+        self._frame = None if pole_map is None else pole_map.frame
         self._particle_filter = (
-            ParticleFilter(pole_map, config, wheelbase_m, rng, receiver=receiver)
+            ParticleFilter(
+                pole_map,
+                config,
+                wheelbase_m,
+                rng,
+                receiver=receiver,
+                load_in_background=load_in_background,
+            )
             if pole_map is not None
             else None
         )
@@ -162,6 +175,31 @@ class Localizer:
         with self._slow:
             self._empty_inbox(self._particle_filter)
             self._particle_filter.set_pose(stamp_s, pose, covariance)
+
+    def exchange_map(self, pole_map: PoleMap | CityMap) -> None:
+        """Hold the next scans against a newer map; particles, and so the pose, stay where they are.
+
+        May be called from any thread while samples come; `pose_at` is not kept waiting.
+
+        Raises:
+            FrameError: it is in another frame than the map so far.
+            InputError: it holds no poles, or a localizer without a map.
+        """
+        if self._particle_filter is None:
+            raise InputError("exchange_map: this localizer has no map, so no particle filter")
+        if pole_map.frame != self._frame:
+            raise FrameError(
+                f"exchange_map: the new map is in {pole_map.frame}, the localizer in "
+                f"{self._frame}; read it in that frame"
+            )
+        if not len(pole_map):
+            raise InputError("exchange_map: the new map holds no poles; keep the one there is")
+        if isinstance(pole_map, PoleMap):
+            _ = pole_map.tree  # built here, so that no scan waits for it
+        with self._slow:
+            self._particle_filter.exchange_map(pole_map)
+        with self._fast:
+            self.counts["maps_exchanged"] += 1
 
     def pose_at(self, stamp_s: float) -> OutputPose | None:
         """The pose at `stamp_s` from what has arrived; None before the filter has started, and

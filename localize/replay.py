@@ -18,6 +18,7 @@ from polemap.localize.config import LocalizeConfig, for_car
 from polemap.localize.localizer import OUTPUT_HOLE_S, Localizer
 from polemap.localize.output_trace import OutputTrace, particle_trajectory
 from polemap.localize.pose_queue import PoseUpdate
+from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
 
@@ -52,7 +53,7 @@ class Run:
     replay_s: float = nan
 
 
-def check_inputs(drive: Drive, pole_map: PoleMap | None, *, has_poles: bool) -> None:
+def check_inputs(drive: Drive, pole_map: PoleMap | CityMap | None, *, has_poles: bool) -> None:
     """Refuse what cannot be localized, before any work is done.
 
     Raises:
@@ -83,7 +84,7 @@ def check_inputs(drive: Drive, pole_map: PoleMap | None, *, has_poles: bool) -> 
 
 def replay(
     drive: Drive,
-    pole_map: PoleMap | None,
+    pole_map: PoleMap | CityMap | None,
     scans: Sequence[Detections],
     config: LocalizeConfig,
     *,
@@ -120,6 +121,7 @@ def replay(
         processing_delay_s=config.output.processing_delay_s,
         on_update=updates.append,
         clock=clock,
+        load_in_background=False,
     )
     ticks = _Ticks(localizer, config.output.rate_hz)
     begin = clock() if clock else 0.0

@@ -81,6 +81,11 @@ class GnssAlignment:
         """Stamp of the newest fix, minus infinity before the first."""
         return self._latest.stamp_s if self._latest else -np.inf
 
+    @property
+    def newest_m(self) -> Floats | None:
+        """East, north `(2,)` of the newest fix, None before the first."""
+        return self._latest.fix_m if self._latest else None
+
     def add_fix(self, fix: GnssFix, odometry_pose: Floats) -> None:
         """Add a fix together with the dead-reckoned rear-axle pose `(3,)` of its moment."""
         position = odometry_pose[:2] + rotate(self._receiver.antenna_m, odometry_pose[2])

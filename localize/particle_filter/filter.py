@@ -14,6 +14,7 @@ from polemap.localize.calibration import OdometryCalibration, OdometryCorrection
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.particle_weights import FixWeights
+from polemap.localize.map_window import MapWindow
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.estimate import (
@@ -38,8 +39,9 @@ from polemap.localize.particle_filter.pole_weigher import (
 )
 from polemap.localize.particle_filter.recovery import Recovery, Step
 from polemap.localize.particle_filter.twins import TwinPoles
+from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import compose, relative, rotate, wrap_angle
 
 Floats = NDArray[np.float64]
 # share of the first scan that counts: particles from a start are few for a sharp scan
@@ -69,26 +71,26 @@ class ParticleFilter:
 
     def __init__(
         self,
-        pole_map: PoleMap,
+        pole_map: PoleMap | CityMap,
         config: LocalizeConfig,
         wheelbase_m: float,
         rng: np.random.Generator,
         *,
         receiver: GnssReceiver | None = None,
+        load_in_background: bool = False,
     ) -> None:
         receiver = receiver or GnssReceiver(config=config.gnss)
-        self._weigher = PoleWeigher(pole_map, config)
-        self._landmarks = Landmarks.of(pole_map, config.p_detection, np.empty(0, dtype=np.int64))
-        self._kinds = np.unique(pole_map.kind).tolist() or [LandmarkKind.POLE]
+        self.counts: Counter[str] = Counter()
+        self._window = MapWindow(pole_map, self.counts, background=load_in_background)
+        poles = self._window.poles
+        self._weigher = PoleWeigher(poles, config)
+        self._landmarks = Landmarks.of(poles, config.p_detection, np.empty(0, dtype=np.int64))
         self._config = config
         self._rng = rng
         self._history = OdometryHistory(config.odometry.rear_slip_rad_per_mps2)
         self._calibration = OdometryCalibration(config.odometry)
         self._noise = NoiseScale(config.odometry)
-        self.counts: Counter[str] = Counter()
-        self._recovery = Recovery(
-            pole_map, config.recovery, receiver, self._weigher, rng, self.counts
-        )
+        self._recovery = Recovery(poles, config.recovery, receiver, self._weigher, rng, self.counts)
         self._fixes = FixWeights(receiver)
         self._wheelbase_m = wheelbase_m
         self._particles = ParticleSet(config, wheelbase_m, rng)
@@ -98,7 +100,10 @@ class ParticleFilter:
         self._used_share = 0.0
         self._trusted = False
         self._odometry = OdometryTrust()
-        self._twins = TwinPoles(pole_map)
+        self._twins = TwinPoles(poles)
+        self._window.users += [self._weigher, self._recovery, self._twins]
+        # of the last estimate
+        self._pose, self._odometry_pose = np.zeros(3), np.zeros(3)
 
     @property
     def initialized(self) -> bool:
@@ -153,7 +158,13 @@ class ParticleFilter:
         )
         self._particles.place_all(drawn, np.zeros(len(drawn)))
         self._stamp_s, self._travelled_m = stamp_s, self._history.travelled_m(stamp_s)
+        self._pose = np.array(pose, dtype=np.float64)
+        self._odometry_pose = self._history.odometry_pose(stamp_s)
         self._recovery.believe()
+
+    def exchange_map(self, pole_map: PoleMap | CityMap) -> None:
+        """Hold the next scans against another map of the same frame; see `Localizer`."""
+        self._window.exchange(pole_map)
 
     def process_scan(self, scan: Detections) -> PfEstimate | None:
         """Move to the scan's stamp, weigh, explore, estimate, resample.
@@ -161,7 +172,8 @@ class ParticleFilter:
         Returns:
             None while no position is known, and for a scan that is not newer than the last one.
         """
-        scan = scan.of_kinds(*self._kinds)  # of others the map says nothing
+        # of other kinds the map says nothing
+        scan = scan.of_kinds(*self._window.kinds or [LandmarkKind.POLE])
         stamp = scan.stamp_s
         if not np.isfinite(stamp) or stamp <= self._stamp_s:
             self.counts["scans_late"] += 1
@@ -174,6 +186,8 @@ class ParticleFilter:
             self.counts["stale_restarts"] += 1
         odometry_pose = self._history.odometry_pose(stamp)
         travelled = self._history.travelled_m(stamp)
+        if not self._window.whole:
+            scan = self._mapped(scan, odometry_pose)
         self._recovery.search.add_scan(scan, odometry_pose, travelled)
         event: Event | None = None
         if self.initialized:
@@ -198,6 +212,9 @@ class ParticleFilter:
                 travelled - self._travelled_m, stamp - self._stamp_s, self._config.poles
             )
         else:
+            if self._window.waiting:
+                self.counts["scans_before_map"] += 1
+                return None
             count = _START_FACTOR * self._config.particles
             drawn = self._recovery.search.draw_start(count, stamp, odometry_pose, self._rng)
             if len(drawn) == 0:
@@ -218,12 +235,27 @@ class ParticleFilter:
                 self._calibration.forget()
                 self._noise.reset()
         estimate = self._estimate(scan, event, step)
+        self._pose, self._odometry_pose = estimate.pose, odometry_pose
         particles.resample_by_weight(estimate.health.n_eff)
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
         held = self._trusted and estimate.health.matched >= 2
         self._calibration.learn_from_pose(stamp, estimate.pose, estimate.covariance, held)
         return estimate
+
+    def _mapped(self, scan: Detections, odometry_pose: Floats) -> Detections:
+        """Have the map around the car; the scan without what stands where it is not known."""
+        stamp = scan.stamp_s
+        fix = self._recovery.search.newest_fix_m(stamp)
+        places = [] if fix is None else [fix]
+        if not self.initialized:
+            self._window.follow(places, np.zeros(2))
+            return scan
+        pose = compose(self._pose, relative(self._odometry_pose, odometry_pose))
+        speed_mps, _ = self._history.rates_at(stamp)
+        velocity = rotate([speed_mps, 0.0], pose[2])
+        self._window.follow([pose[:2], *places], velocity)
+        return self._window.mapped(scan, pose)
 
     def _weigh_scan(self, scan: Detections, share: float) -> None:
         particles = self._particles

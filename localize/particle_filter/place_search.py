@@ -55,6 +55,16 @@ class PlaceSearch:
         """Stamp of the newest fix, minus infinity before the first."""
         return self._alignment.newest_s
 
+    def newest_fix_m(self, stamp_s: float) -> Floats | None:
+        """East, north `(2,)` of the newest fix; None where it is too old for a place."""
+        if stamp_s - self._alignment.newest_s > MAX_AGE_S:
+            return None
+        return self._alignment.newest_m
+
+    def use_map(self, pole_map: PoleMap) -> None:
+        """Go on with other poles, of the same frame."""
+        self._index = ConstellationIndex(pole_map)
+
     def add_fix(self, fix: GnssFix, odometry_pose: Floats) -> None:
         """Take in a fix and the dead-reckoned pose `(3,)` of its moment."""
         self._alignment.add_fix(fix, odometry_pose)

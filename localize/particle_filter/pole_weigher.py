@@ -63,7 +63,7 @@ class Match:
 
 
 class PoleWeigher:
-    """Holds scans against a map: the map's arrays, the settings, and nothing that changes."""
+    """Holds scans against a map: the map's arrays, the settings, and nothing else."""
 
     def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
         self._map = pole_map
@@ -71,6 +71,10 @@ class PoleWeigher:
         self._model = PoleModel.of(config)
         self._view = default_view(config.poles)
         self._threads = config.threads
+
+    def use_map(self, pole_map: PoleMap) -> None:
+        """Go on with other poles, of the same frame."""
+        self._map = pole_map
 
     def near(self, rear_poses: Floats, scan: Detections) -> Landmarks:
         """Map poles within reach of any of the poses `(n, 3)`; scattered ones ask by cells."""

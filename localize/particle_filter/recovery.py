@@ -85,6 +85,10 @@ class Recovery:
         self._matched_s = -np.inf
         self.explored_share = 0.0
 
+    def use_map(self, pole_map: PoleMap) -> None:
+        """Go on with other poles, of the same frame."""
+        self.search.use_map(pole_map)
+
     def believe(self) -> None:
         """Somebody who should know has said where the car is."""
         self.averages.reset()

@@ -33,6 +33,11 @@ class TwinPoles:
         self._asked_m = np.full(2, np.inf)
         self._offset_m = np.zeros(2)
 
+    def use_map(self, pole_map: PoleMap) -> None:
+        """Go on with other poles, of the same frame."""
+        self._map = pole_map
+        self._asked_m = np.full(2, np.inf)
+
     def offset_at(self, place_m: Floats) -> Floats:
         """Offset `(2,)` of the twins around a place `(2,)`, zero where there are none."""
         if np.hypot(*(place_m - self._asked_m)) > _AREA_M:

@@ -20,15 +20,14 @@ from polemap.map.city.city_map import CityMap, box_around
 from polemap.map.city.geopackage.io import TILE_M
 from polemap.map.city.io import open_city, open_map
 from polemap.map.city.packing import boxes_of, packed_order
-from polemap.map.city.parquet.io import write_tiles
 from polemap.map.city.statistics import MapStatistics
-from polemap.map.formats.geopackage.io import write_geopackage
 from polemap.map.io import read_map, write_map
 from polemap.map.pole_map import PoleMap
+from tests.city_maps import write_city
 from tests.pole_maps import plain_map
 
 ORIGIN = np.array([450_000.0, 5_400_000.0])
-SIDE_M, COUNT, TILE_POLES = 3000.0, 4000, 64
+SIDE_M, COUNT = 3000.0, 4000
 
 
 def make_city(seed: int = 0, count: int = COUNT) -> PoleMap:
@@ -58,15 +57,6 @@ def files(city: PoleMap, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     """The city in every format that is read by tiles, however small it is."""
     folder = tmp_path_factory.mktemp("city")
     return write_city(city, folder)
-
-
-def write_city(city: PoleMap, folder: Path) -> dict[str, Path]:
-    paths = {ending: folder / f"city.{ending}" for ending in ("gpkg", "parquet")}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("polemap.map.formats.geopackage.io.CITY_POLES", 1)
-        write_geopackage(city, paths["gpkg"])
-    write_tiles(city, paths["parquet"], TILE_POLES)
-    return paths
 
 
 def by_id(pole_map: PoleMap) -> PoleMap:
@@ -256,7 +246,6 @@ def test_a_parquet_map_that_is_written_on_in_place_is_not_believed(
     path = write_city(city, tmp_path)["parquet"]
     opened = open_city(path)
     assert opened is not None
-    (tmp_path / "other").mkdir()
     other = write_city(make_city(1), tmp_path / "other")["parquet"]
     path.write_bytes(other.read_bytes())
     with pytest.raises(InputError, match="has changed since it was opened"):
@@ -270,7 +259,6 @@ def test_a_map_that_is_exchanged_whole_stays_as_it_was_opened(
     path = write_city(city, tmp_path)[ending]
     opened = open_city(path)
     assert opened is not None
-    (tmp_path / "new").mkdir()
     shutil.move(write_city(make_city(1), tmp_path / "new")[ending], path)
     distance = np.hypot(*(city.points_m - ORIGIN - 500.0).T)
     assert_same(
