@@ -15,7 +15,7 @@ from typer import TyperException
 
 from polemap import __version__
 from polemap.drivelog.errors import Mistakes
-from polemap.errors import PolemapError
+from polemap.errors import PolemapError, shortened
 from polemap.extras import missing_extra
 from polemap.tools import interrupts
 
@@ -53,7 +53,6 @@ Then:
 polemap VERB --help starts with examples.
 """
 GOOD, CRASH, USER_ERROR, INTERRUPTED = 0, 1, 2, 130
-LONGEST_MESSAGE = 300
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 
 
@@ -168,26 +167,16 @@ def _was_printing(error: OSError) -> bool:
 
 def _complain(message: str) -> int:
     try:
-        sys.stderr.write(f"polemap: {shortened(' '.join(message.split()))}\n")
+        sys.stderr.write(f"polemap: {shortened(message)}\n")
         sys.stderr.flush()
     except (OSError, ValueError):
         pass  # nobody reads it; the exit code says enough
     return USER_ERROR
 
 
-def shortened(message: str) -> str:
-    """At most `LONGEST_MESSAGE` letters, from the middle: place and remedy stand at the ends."""
-    room = LONGEST_MESSAGE - len("polemap: ")
-    message = "".join(letter if letter.isprintable() else "?" for letter in message)
-    if len(message) <= room:
-        return message
-    head = (room - 3) // 2
-    return f"{message[:head]}...{message[-(room - 3 - head) :]}"
-
-
 def _note(message: Warning | str, *_where: object, **_rest: object) -> None:
     """A warning as one line, without the place in the code that raised it."""
-    sys.stderr.write(f"polemap: {shortened('note: ' + ' '.join(str(message).split()))}\n")
+    sys.stderr.write(f"polemap: {shortened(f'note: {message}')}\n")
 
 
 def _open_standard_streams() -> None:

@@ -25,7 +25,7 @@ from polemap.drivelog.readers.bags.described import pole_scan
 from polemap.drivelog.readers.bags.fields import COLUMNS, by_path, extract_of
 from polemap.drivelog.readers.bags.frames import PAIR_TOLERANCE_NS, decode_picture
 from polemap.drivelog.readers.bags.pictures import grey
-from polemap.drivelog.readers.bags.signals import SD_AT_DILUTION_ONE_M
+from polemap.drivelog.readers.bags.signals import SD_AT_DILUTION_ONE_M, speed_factor
 from polemap.drivelog.readers.bags.types import kind_of
 from polemap.drivelog.samples import GnssFix, Image, OdometrySample
 from polemap.parsing.errors import named
@@ -58,6 +58,7 @@ class TopicSamples:
         self._mapping, self._frame, self._poles_topic = mapping, frame, poles
         self._view, self._rectifier = view, rectifier
         self._rates: float | None = None
+        self._right_mps: float | None = None
         self._ahead_s: float | None = None
         self._waiting: dict[str, OrderedDict[int, tuple[Channel, bytes]]] = {
             "left": OrderedDict(), "right": OrderedDict(),
@@ -120,17 +121,25 @@ class TopicSamples:
         part = self._mapping.odometry
         if part is None:
             return None
-        speed = _value(part.speed, "speed_mps", channel, decoded)
-        factor = m.SPEED_UNITS.get(part.speed.unit or "m/s")
-        if factor is None:
-            factor = m.TURN_UNITS[part.speed.unit or ""] * float(part.wheel_radius_m or 0.0)
-        turn = part.yaw_rate or part.speed
-        if turn.topic == part.speed.topic:
+        signal = part.right_wheel if use == "right_wheel" and part.right_wheel else part.speed
+        speed = _value(signal, "speed_mps", channel, decoded)
+        speed *= speed_factor(signal, part.wheel_radius_m)
+        if use == "right_wheel":
+            self._right_mps = speed
+            return None
+        if part.right_wheel is not None:
+            if self._right_mps is None:
+                self.counts["odometry_without_right_wheel"] += 1
+                return None
+            if part.track_m is not None:
+                self._rates = (self._right_mps - speed) / part.track_m
+            speed = (speed + self._right_mps) / 2.0
+        elif (part.yaw_rate or part.speed).topic == part.speed.topic:
             self._rates = self._turn(channel, decoded)
         if self._rates is None:
             self.counts["odometry_without_yaw_rate"] += 1
             return None
-        return OdometrySample(stamp_s, log_s, speed * factor * part.speed.scale, self._rates)
+        return OdometrySample(stamp_s, log_s, speed, self._rates)
 
     def _turn(self, channel: Channel, decoded: Any) -> float:
         part = self._mapping.odometry
@@ -204,6 +213,8 @@ def _uses(mapping: m.Mapping) -> dict[str, tuple[str, ...]]:
         turn = mapping.odometry.yaw_rate
         if turn is not None and turn.topic != mapping.odometry.speed.topic:
             add(turn.topic, "yaw_rate")
+        if mapping.odometry.right_wheel is not None:
+            add(mapping.odometry.right_wheel.topic, "right_wheel")
         add(mapping.odometry.speed.topic, "speed")
     if mapping.gnss is not None:
         add(mapping.gnss.topic, "gnss")

@@ -18,7 +18,7 @@ from polemap.drivelog.images import RectifiedPairs
 from polemap.drivelog.readers.bags.camera import stereo_camera
 from polemap.drivelog.readers.bags.clocks import compare_clocks, seconds
 from polemap.drivelog.readers.bags.frames import log_pictures, pair_pictures
-from polemap.drivelog.readers.bags.guess import Guess, pole_topic, used_topics
+from polemap.drivelog.readers.bags.guess import Guess, is_video, pole_topic, used_topics
 from polemap.drivelog.readers.bags.index import LogIndex
 from polemap.drivelog.readers.bags.signals import (
     Signals,
@@ -246,6 +246,17 @@ class Build:
                 Finding(
                     "log_damaged", "warning", self._path.name, damage, "a whole recording",
                     "restore it, or mend it: `rosbag reindex`, `ros2 bag reindex`, `mcap recover`",
+                )
+            )  # fmt: skip
+        videos = [name for name, topic in self._index.topics.items() if is_video(topic)]
+        if videos and self._mapping.camera is None:
+            self._findings.append(
+                Finding(
+                    "video_not_read", "warning", videos[0],
+                    f"video of type {self._index.topics[videos[0]].channel.type_name}",
+                    "single pictures, raw or as JPEG or PNG",
+                    "record the camera's image topics, or republish the video as them: "
+                    "`ros2 run image_transport republish`",
                 )
             )  # fmt: skip
         for role, names in self._made.ambiguous.items():

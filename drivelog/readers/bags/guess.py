@@ -21,6 +21,8 @@ _FUSED = re.compile(
 _DRIFTING = re.compile(r"visual|vio|(?:^|[/_])vo(?:[/_]|$)|icp|lio|kiss|lidar|laser")
 _WHEELS = re.compile(r"wheel|encoder|(?:^|[/_])can(?:[/_]|$)|vehicle|chassis|odom")
 _FIX = re.compile(r"gnss|gps|(?:^|[/_])fix(?:[/_]|$)")
+# foxglove.CompressedVideo, ffmpeg_image_transport_msgs, theora_image_transport
+_VIDEO = re.compile(r"video|ffmpeg|theora")
 _EARTH_FRAMES = ("map", "world", "utm", "earth", "enu", "global")
 # a pose topic without any hint is taken for a reference only in a frame that does not drift
 _REFERENCE_MIN = 3
@@ -180,8 +182,10 @@ def used_topics(mapping: m.Mapping) -> dict[str, str]:
             add(camera.info, f"{side} calibration")
     if mapping.odometry is not None:
         add(mapping.odometry.speed.topic, "speed")
-        turn = mapping.odometry.yaw_rate or mapping.odometry.speed
-        add(turn.topic, "yaw rate")
+        right, turn = mapping.odometry.right_wheel, mapping.odometry.yaw_rate
+        add(right.topic if right else None, "speed")
+        if turn is not None or mapping.odometry.track_m is None:
+            add((turn or mapping.odometry.speed).topic, "yaw rate")
     add(mapping.gnss.topic if mapping.gnss else None, "GNSS")
     add(mapping.reference.topic if mapping.reference else None, "reference")
     return uses
@@ -210,6 +214,11 @@ def _explain(index: LogIndex, made: Guess) -> None:
             made.uses[name] = f"not used: {_why_not(topic, used)}"
 
 
+def is_video(topic: Topic) -> bool:
+    """Whether a topic holds frames that only their predecessors explain."""
+    return topic.kind is None and bool(_VIDEO.search(topic.channel.type_name.lower()))
+
+
 def _why_not(topic: Topic, used: Iterable[str]) -> str:
     name = _name(topic)
     if not topic.count:
@@ -218,6 +227,8 @@ def _why_not(topic: Topic, used: Iterable[str]) -> str:
         return topic.reason[:100]
     if topic.kind == "poles":
         return "another topic of poles was recorded first"
+    if is_video(topic):
+        return "a video: only single pictures (raw, JPEG, PNG) can be read"
     if topic.kind is None:
         return "nothing here reads this type"
     if topic.kind in ("pose", "odometry", "twist", "ackermann") and _COMMAND.search(name):
@@ -225,7 +236,7 @@ def _why_not(topic: Topic, used: Iterable[str]) -> str:
     if topic.kind == "joints":
         return "wheel speeds need wheel_radius_m, by a mapping"
     if topic.kind == "number":
-        return "a number whose meaning and unit a mapping has to tell"
+        return "a number whose meaning and unit a mapping has to tell (odometry)"
     if topic.kind == "imu":
         return "the yaw rate comes from elsewhere"
     if topic.kind == "odometry" and topic.frame_id.lower() == "odom":

@@ -117,16 +117,38 @@ class Signal(_Part):
 
 
 class OdometryPart(_Part):
-    """Speed and yaw rate, from one topic or from two."""
+    """Speed and yaw rate, from one topic or from several.
+
+    Attributes:
+        right_wheel: the right wheel of an axle that is not steered, where `speed` is the left one:
+            the speed is their mean.
+        track_m: between these wheels; their difference is the yaw rate then.
+    """
 
     speed: Signal
+    right_wheel: Signal | None = None
+    track_m: float | None = Field(None, gt=0.3, lt=5.0)
     yaw_rate: Signal | None = None
     wheel_radius_m: float | None = Field(None, gt=0.05, lt=2.0)
 
     @model_validator(mode="after")
+    def _two_wheels(self) -> OdometryPart:
+        right = self.right_wheel
+        if right is None and self.track_m is not None:
+            raise ValueError("track_m needs right_wheel, the topic of the other wheel")
+        if self.track_m is not None and self.yaw_rate is not None:
+            raise ValueError("track_m and yaw_rate both give the yaw rate; drop one of them")
+        if right is not None and self.track_m is None and self.yaw_rate is None:
+            raise ValueError("right_wheel needs track_m, or yaw_rate from another topic")
+        if right is not None and right.topic == self.speed.topic:
+            raise ValueError("speed and right_wheel are one topic; give both numbers as fields")
+        return self
+
+    @model_validator(mode="after")
     def _wheels_have_a_radius(self) -> OdometryPart:
-        if self.speed.unit in TURN_UNITS and self.wheel_radius_m is None:
-            raise ValueError(f"a speed in {self.speed.unit} needs wheel_radius_m")
+        for signal in (self.speed, self.right_wheel):
+            if signal is not None and signal.unit in TURN_UNITS and self.wheel_radius_m is None:
+                raise ValueError(f"a speed in {signal.unit} needs wheel_radius_m")
         if self.yaw_rate is not None and self.yaw_rate.unit in SPEED_UNITS:
             raise ValueError(f"a yaw rate is not in {self.yaw_rate.unit}")
         return self
@@ -203,7 +225,8 @@ class Mapping(_Part):
         if self.odometry is None:
             return {}
         found: dict[str, tuple[str, ...]] = {}
-        for signal in (self.odometry.speed, self.odometry.yaw_rate):
+        part = self.odometry
+        for signal in (part.speed, part.right_wheel, part.yaw_rate):
             if signal is not None and signal.fields:
                 known = found.get(signal.topic, ())
                 found[signal.topic] = (*known, *(f for f in signal.fields if f not in known))
@@ -292,7 +315,8 @@ def _named(mapping: Mapping) -> Iterator[tuple[tuple[str, ...], str, tuple[Kind,
             if camera.info is not None:
                 yield ("camera", side, "info"), camera.info, ("camera",)
     if mapping.odometry is not None:
-        for part, kinds in (("speed", _SPEEDS), ("yaw_rate", _TURNS)):
+        roles = (("speed", _SPEEDS), ("right_wheel", _SPEEDS), ("yaw_rate", _TURNS))
+        for part, kinds in roles:
             signal: Signal | None = getattr(mapping.odometry, part)
             if signal is not None:
                 yield ("odometry", part, "topic"), signal.topic, () if signal.fields else kinds

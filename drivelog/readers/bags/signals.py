@@ -87,7 +87,9 @@ def odometry_stream(signals: Signals, part: m.OdometryPart, wheelbase_m: float) 
     """Speed and yaw rate of the rear axle."""
     topics = signals.index.topics
     topic = topics[part.speed.topic]
-    speed = _speed(topic, part)
+    speed = _speed(topic, part.speed, part.wheel_radius_m)
+    if part.right_wheel is not None:
+        return _two_wheels(signals, part, part.right_wheel, speed, wheelbase_m)
     turn = part.yaw_rate or part.speed
     if turn.topic == part.speed.topic:
         yaw_rate = _yaw_rate(topic, turn, signals, speed, wheelbase_m)
@@ -107,18 +109,53 @@ def odometry_stream(signals: Signals, part: m.OdometryPart, wheelbase_m: float) 
     return OdometryStream(seconds(stamp), seconds(arrival), *values)
 
 
-def _speed(topic: Topic, part: m.OdometryPart) -> Floats:
-    names = part.speed.fields or ("speed_mps",)
-    if part.speed.fields == () and topic.kind == "joints":
+def _two_wheels(
+    signals: Signals, part: m.OdometryPart, right: m.Signal, left: Floats, wheelbase_m: float
+) -> OdometryStream:
+    """Mean of the wheels of an axle at the stamps of the left one, and their difference.
+
+    v = (v_left + v_right) / 2, yaw rate = (v_right - v_left) / track, for wheels that roll.
+    """
+    topics = signals.index.topics
+    other = topics[right.topic]
+    speed = _speed(other, right, part.wheel_radius_m)
+    wheels = signals.in_order(topics[part.speed.topic], "odometry", left[:, None])
+    stamp, arrival, both = _joined(
+        signals, wheels, signals.in_order(other, "right_wheel", speed[:, None]), "right_wheel"
+    )
+    mean = both.mean(axis=1)
+    if part.track_m is not None:
+        rate = (both[:, 1] - both[:, 0]) / part.track_m
+        return OdometryStream(seconds(stamp), seconds(arrival), mean, rate)
+    if part.yaw_rate is None:
+        raise InputError("odometry.right_wheel: needs track_m, or yaw_rate from another topic")
+    turning = topics[part.yaw_rate.topic]
+    rates = _yaw_rate(turning, part.yaw_rate, signals, None, wheelbase_m)
+    stamp, arrival, both = _joined(
+        signals,
+        (stamp, arrival, mean[:, None]),
+        signals.in_order(turning, "yaw_rate", rates[:, None]),
+    )
+    return OdometryStream(seconds(stamp), seconds(arrival), both[:, 0], both[:, 1])
+
+
+def _speed(topic: Topic, signal: m.Signal, wheel_radius_m: float | None) -> Floats:
+    names = signal.fields or ("speed_mps",)
+    if signal.fields == () and topic.kind == "joints":
         names = topic.columns
-    elif part.speed.fields == () and topic.kind == "number":
+    elif signal.fields == () and topic.kind == "number":
         names = ("value",)
     speed = np.mean([topic.column(name) for name in names], axis=0)
-    unit = part.speed.unit or "m/s"
+    return np.asarray(speed * speed_factor(signal, wheel_radius_m))
+
+
+def speed_factor(signal: m.Signal, wheel_radius_m: float | None) -> float:
+    """What a number of a signal is multiplied by to be a speed in m/s."""
+    unit = signal.unit or "m/s"
     factor = m.SPEED_UNITS.get(unit)
     if factor is None:
-        factor = m.TURN_UNITS[unit] * float(part.wheel_radius_m or 0.0)
-    return np.asarray(speed * (factor * part.speed.scale))
+        factor = m.TURN_UNITS[unit] * float(wheel_radius_m or 0.0)
+    return factor * signal.scale
 
 
 def _yaw_rate(
@@ -153,13 +190,14 @@ def _joined(
     signals: Signals,
     speed: tuple[Integers, Integers, Floats],
     turn: tuple[Integers, Integers, Floats],
+    name: str = "yaw_rate",
 ) -> tuple[Integers, Integers, Floats]:
-    """Yaw rates between two samples at the stamps of the speeds; known when the later arrived."""
+    """Values `name` between samples at the stamps of the speeds; known when the later arrived."""
     if not len(turn[0]):
-        raise InputError("no yaw rate: its topic holds no message that can be used")
+        raise InputError(f"odometry.{name}: its topic holds no message that can be used")
     inside = (speed[0] >= turn[0][0]) & (speed[0] <= turn[0][-1])
     if lost := int(np.count_nonzero(~inside)):
-        signals.problems["odometry_without_yaw_rate"] += lost
+        signals.problems[f"odometry_without_{name}"] += lost
     stamp, arrival, values = (part[inside] for part in speed)
     after = np.clip(np.searchsorted(turn[0], stamp), 0, len(turn[0]) - 1)
     rate = np.interp(seconds(stamp), seconds(turn[0]), turn[2][:, 0])
