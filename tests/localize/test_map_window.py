@@ -184,7 +184,8 @@ def test_poles_of_tiles_that_come_late_are_neither_expected_nor_strange(
     assert counts["pf_poles_beyond_window"] > 15
     assert "pf_poles_contradict" not in counts
     assert counts.get("pf_reinitializations", 0) == 0
-    assert answers[-1].healthy
+    # dead reckoning spreads, and nothing speaks against the pose
+    assert answers[-1].distrust in ("", "spread")
     slow.ready.set()
     window._loading.join(60.0)
     before = counts["pf_poles_beyond_window"]
