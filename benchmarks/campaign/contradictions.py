@@ -1,4 +1,4 @@
-"""Every kind of fault of `faults.py` on many seeds: is the localizer right, or does it say so?
+"""Every kind of fault of `fault_kinds.py` on many seeds: is the localizer right, or does it say so?
 
 `python -m benchmarks.campaign.contradictions [--seeds N] [--first N] [--kinds WORD] [--out FILE]
 [--workers N] [--held-out]` runs them and prints a line a kind. The rows go to FILE as they come;
@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.fault_kinds import KINDS
 from benchmarks.campaign.held_out import HELD_OUT
 from benchmarks.campaign.judge import judge
-from benchmarks.campaign.kinds import KINDS
 from benchmarks.harness import FOLDER, command_line
 from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.localize.config import LocalizeConfig

@@ -1,7 +1,7 @@
 """Kinds of fault that no setting was chosen with: written before, run after the filters stood.
 
-`python -m benchmarks.campaign.contradictions --held-out`. They mix what `faults.py` has one at a
-time, or damage a stream in ways that it does not know.
+`python -m benchmarks.campaign.contradictions --held-out`. They mix what `fault_kinds.py` has
+one at a time, or damage a stream in ways that it does not know.
 """
 
 from __future__ import annotations

@@ -10,10 +10,10 @@ import pytest
 from benchmarks.campaign import contradictions
 from benchmarks.campaign.car_parks import hard_car_park
 from benchmarks.campaign.drives import car_park, street
+from benchmarks.campaign.fault_kinds import KINDS
 from benchmarks.campaign.faults import twice
 from benchmarks.campaign.held_out import HELD_OUT
 from benchmarks.campaign.judge import stretches
-from benchmarks.campaign.kinds import KINDS
 
 
 def test_only_stretches_longer_than_the_patience_count() -> None:
