@@ -107,7 +107,11 @@ def see_motion(drive: Drive, row: int, matches: StereoMatches) -> SeenMotion | N
     rig, motion = drive.rig, _motion(drive)
     if rig is None or motion is None or len(matches.first_px) < _POINTS_MIN:
         return None
-    next_from_first, points = _fit(rig, matches)
+    try:
+        next_from_first, points = _fit(rig, matches)
+    except np.linalg.LinAlgError:
+        # numbers that no camera has; `absolute` names them
+        return None
     mount = rig.vehicle_from_camera
     turned, place = mount.rotation(), np.array([mount.x_m, mount.y_m, mount.z_m])
     moved = turned @ (-next_from_first[:3, :3].T @ next_from_first[:3, 3])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive, OdometryStream
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.plausibility.check import check_drive
 from polemap.drivelog.plausibility.pictures import check_pictures
 from polemap.drivelog.streams import ReferenceStream
 from polemap.stereo.rig import Mounting, StereoRig
@@ -201,3 +202,12 @@ def test_a_mistake_in_the_pictures_is_noticed(clean: Drive, name: str) -> None:
     assert match, [finding.line() for finding in findings]
     assert match[0].severity == severity
     assert len(match[0].line()) < 300
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [{"cx_px": 1e9}, {"cx_px": -1e6, "focal_px": 1.0}, {"focal_px": 1e-9}, {"baseline_m": 1e9}],
+)
+def test_numbers_that_no_camera_has_are_findings(clean: Drive, numbers: dict[str, float]) -> None:
+    drive = _rig(**numbers)(clean)
+    assert [f for f in [*check_drive(drive), *check_pictures(drive)] if f.severity == "error"]
