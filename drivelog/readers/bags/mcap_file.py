@@ -35,6 +35,7 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 # records that describe: schemas of whole robots have a few hundred kB
 _LARGEST_DESCRIPTION = 64 << 20
+_PIECE = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,8 @@ class _Walker:
         self._source, self._walk = source, walk
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, int] = {}
+        self._unknown: set[int] = set()
+        self._summary_read = False
         self._records, self._streams = need("mcap.records"), need("mcap.data_stream")
 
     def records(self, file: BinaryIO, end: int) -> Iterator[Message]:
@@ -128,6 +131,10 @@ class _Walker:
             return
         self._walk.compression.add(compression or "none")
         if not compression:
+            if crc and crc != _crc_of(file, stored):
+                self._damaged(at, "its checksum is wrong")
+                return
+            file.seek(start)
             yield from self._inside(file, start, stored, -1)
             return
         try:
@@ -137,6 +144,23 @@ class _Walker:
             self._damaged(at, str(error))
             return
         yield from self._inside(io.BytesIO(raw), 0, len(raw), at)
+
+    def _from_summary(self, number: int) -> int | None:
+        """A channel whose chunk was left out, as the end of the file repeats it."""
+        if not self._summary_read:
+            self._summary_read = True
+            reader: Any = need("mcap.reader")
+            with self._source.path.open("rb") as file:
+                try:
+                    summary = reader.make_reader(file).get_summary()
+                except (need("mcap.exceptions").McapError, ValueError, struct.error, OSError):
+                    summary = None
+            if summary is not None:
+                for schema in summary.schemas.values():
+                    self._schemas.setdefault(schema.id, schema)
+                for channel in summary.channels.values():
+                    self._announce(channel)
+        return self._channels.get(number)
 
     def _damaged(self, at: int, why: str) -> None:
         self._walk.damage.append(f"{self._source.path.name}: chunk at byte {at} left out: {why}")
@@ -169,7 +193,14 @@ class _Walker:
         number, _, log_ns, _ = _MESSAGE_HEAD.unpack(file.read(_MESSAGE_HEAD.size))
         channel = self._channels.get(number)
         if channel is None:
-            self._damaged(at, f"message of a channel {number} that was not announced")
+            channel = self._from_summary(number)
+        if channel is None:
+            if number not in self._unknown:
+                self._unknown.add(number)
+                self._walk.damage.append(
+                    f"{self._source.path.name}: messages of channel {number} left out, from byte "
+                    f"{at} on: what announced it is lost"
+                )
             return None
         wanted, size = self._walk.bytes_wanted[channel], length - _MESSAGE_HEAD.size
         data = b"" if wanted == NOTHING else file.read(size if wanted == WHOLE else wanted)
@@ -188,18 +219,32 @@ class _Walker:
             ) from error
         if code == _SCHEMA:
             self._schemas[record.id] = record
-        elif record.id not in self._channels:
-            schema = self._schemas.get(record.schema_id)
-            self._channels[record.id] = self._walk.add(
-                Channel(
-                    record.topic,
-                    ros_type(schema.name if schema else ""),
-                    record.message_encoding,
-                    schema.encoding if schema else "",
-                    bytes(schema.data) if schema else b"",
-                    self._source.zstd,
-                )
+        else:
+            self._announce(record)
+
+    def _announce(self, record: Any) -> None:
+        """Take up a channel record."""
+        if record.id in self._channels:
+            return
+        schema = self._schemas.get(record.schema_id)
+        self._channels[record.id] = self._walk.add(
+            Channel(
+                record.topic,
+                ros_type(schema.name if schema else ""),
+                record.message_encoding,
+                schema.encoding if schema else "",
+                bytes(schema.data) if schema else b"",
+                self._source.zstd,
             )
+        )
+
+
+def _crc_of(file: BinaryIO, length: int) -> int:
+    """CRC-32 of the next bytes, some at a time."""
+    crc = 0
+    while length > 0 and (data := file.read(min(length, _PIECE))):
+        crc, length = zlib.crc32(data, crc), length - len(data)
+    return crc
 
 
 def _check(raw: bytes, crc: int, at: int) -> None:

@@ -91,6 +91,57 @@ def test_a_damaged_chunk_is_left_out(logs: Path, tmp_path: Path) -> None:
         assert drive.findings[0].kind == "log_damaged"
 
 
+@pytest.mark.parametrize("kind", ["odometry", "picture"])
+def test_a_bit_that_flipped_in_a_plain_chunk_costs_the_chunk(
+    kind: str, folder: Drive, tmp_path: Path
+) -> None:
+    """Without compression nothing but the checksum of the chunk tells it."""
+    ros = Ros()
+    path = write_mcap(
+        tmp_path / "log.mcap", ros_messages(folder, ros), ros, "NONE", chunk_size=4000
+    )
+    whole = open_drive(path)
+    data = bytearray(path.read_bytes())
+    assert folder.odometry is not None
+    wanted = {
+        "odometry": struct.pack("<d", float(folder.odometry.speed_mps[3])),
+        "picture": folder.read_frame(1).left[5:7].tobytes(),
+    }[kind]
+    data[data.index(wanted)] ^= 0x10
+    path.write_bytes(data)
+    reader.forget()
+    drive = open_drive(path)
+    (finding,) = (f for f in drive.findings if f.kind == "log_damaged")
+    assert "checksum is wrong" in finding.value
+    assert stamps(drive) + len(drive.frame_stamps_s) < stamps(whole) + len(whole.frame_stamps_s)
+
+
+@pytest.mark.parametrize("summary", [True, False])
+def test_channels_that_a_damaged_chunk_announced_are_told_once(
+    summary: bool, folder: Drive, tmp_path: Path
+) -> None:
+    """The end of the file repeats them; without it their messages are lost, a line a channel."""
+    ros = Ros()
+    options = {} if summary else {"repeat_channels": False, "repeat_schemas": False}
+    path = write_mcap(
+        tmp_path / "log.mcap", ros_messages(folder, ros), ros, "NONE", chunk_size=4000, **options
+    )
+    whole = open_drive(path)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"geometry_msgs")] ^= 0x01  # in the first chunk, where schemas stand
+    path.write_bytes(data)
+    reader.forget()
+    drive = open_drive(path)
+    said = [finding.value for finding in drive.findings if finding.kind == "log_damaged"]
+    assert "checksum is wrong" in said[0]
+    if summary:
+        assert len(said) == 1
+        assert 0.5 * stamps(whole) < stamps(drive) < stamps(whole)
+    else:
+        assert 1 < len(said) < 12
+        assert all("what announced it is lost" in one for one in said[1:])
+
+
 def test_an_sqlite_file_with_a_broken_end_is_read_up_to_there(logs: Path, tmp_path: Path) -> None:
     shutil.copytree(logs / "two", tmp_path / "two")
     path = tmp_path / "two" / "two.db3"

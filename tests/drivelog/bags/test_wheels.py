@@ -9,20 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.typesys import get_types_from_msg
 
-from polemap.drivelog.drive import Drive, open_drive
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.live.growing import GrowingBytes
 from polemap.drivelog.live.mcap_stream import StreamMessage, read_stream
 from polemap.drivelog.live.topics import TopicSamples
 from polemap.drivelog.readers.bags.mapping import OdometryPart, Signal, read_mapping
 from polemap.drivelog.readers.bags.reader import survey
+from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import OdometrySample
-from tests.drivelog.bags import test_topics as topics
+from tests.drivelog.bags import streams as topics
 from tests.drivelog.bags.recordings import Ros, Said, write_mcap
 
-log, opened = topics.log, topics.opened
 FLOAT = "std_msgs/msg/Float64"
 TRACK_M, RADIUS_M = 1.6, 0.3
 
@@ -104,8 +106,8 @@ def test_a_part_that_was_made_by_hand_is_checked_too(log: Callable[..., Path]) -
 
 def test_two_wheels_are_followed(log: Callable[..., Path], tmp_path: Path) -> None:
     path = log(wheel(-1), wheel(1))
-    (tmp_path / "t.yaml").write_text(topics.yaml.safe_dump({"odometry": part(track_m=TRACK_M)}))
-    taken = TopicSamples(read_mapping(tmp_path / "t.yaml"), topics.EarthFrame("local", name="y"))
+    (tmp_path / "t.yaml").write_text(yaml.safe_dump({"odometry": part(track_m=TRACK_M)}))
+    taken = TopicSamples(read_mapping(tmp_path / "t.yaml"), EarthFrame("local", name="y"))
     assert taken.topics == ["/wheel/left", "/wheel/right"]
     records = read_stream(GrowingBytes(str(path), Event(), idle_s=0.02))
     found = [
