@@ -33,6 +33,7 @@ VERBS = {
     "train": ("train", "Train the pole classifier on drives with a known pole map."),
     "map": ("map", "Build, update or compare pole maps."),
     "localize": ("localize", "Replay a drive against a map."),
+    "where": ("where", "Find a car anywhere in a map by the poles along its way."),
     "view": ("view", "Show a run in a viewer, or write the recording that viewers open."),
     "report": ("report.command", "Report repeatability and accuracy of runs."),
     "estimate": ("estimate", "Run a side-slip or velocity estimator on a signal log."),

@@ -41,6 +41,7 @@ from polemap.tools.option_types import (
     SetOption,
     TopicsOption,
 )
+from polemap.tools.pattern_index import make_index
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 
@@ -123,6 +124,9 @@ def command(
         Path | None,
         typer.Option("--localizability", help="Bounds on the pose along the routes: .geojson."),
     ] = None,
+    index: Annotated[
+        bool, typer.Option("--index", help="Write the index by which a car is found anywhere, too.")
+    ] = False,
     workers: Annotated[
         int | None, typer.Option("--workers", min=1, help="Local processes, a drive each.")
     ] = None,
@@ -142,7 +146,7 @@ def command(
         polemap map drives/monday --out campus.gpkg
         polemap map drives/park --lap map --out park.geojson
         polemap map drives/tuesday drives/friday --update campus.gpkg --align --out campus.gpkg
-        polemap map drives/* --workers 8 --out city.parquet
+        polemap map drives/* --workers 8 --out city.parquet --index
         polemap map drives/monday --out a.gpkg --picture a.png --localizability route.geojson
         polemap map --diff campus_old.gpkg campus.gpkg --out changes.geojson
         polemap map --convert lamps.osm --out lamps.gpkg
@@ -161,6 +165,8 @@ def command(
         return
     if convert is not None:
         convert_map(convert, drives or [], out, seed, topics)
+        if index and out is not None:
+            make_index(out, LocalWorkers(workers or 1))
         return
     if not drives:
         raise InputError("no drive is given: polemap map DRIVE... --out MAP")
@@ -176,6 +182,9 @@ def command(
         job = _Job(drives, out, lap, old, topics, odometry, seed, workers, scheduler, align,
                    settings)  # fmt: skip
         _make(job, picture, layer, force=force)
+        if index:
+            with job.pool() as pool:
+                make_index(out, pool)
 
 
 def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -> None:

@@ -266,7 +266,8 @@ def motion_along(poses: Floats, speed_mps: float) -> PointMotion:
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     stamps = way / speed_mps
     yaw = np.unwrap(poses[:, 2])
-    rate = np.gradient(yaw, stamps)
+    # up to the next place, as arcs are driven
+    rate = np.append(np.diff(yaw) / np.diff(stamps), 0.0)
     states = np.column_stack([poses[:, :2], yaw, np.full(len(way), speed_mps), rate])
     return PointMotion(stamps, states)
 

@@ -1,0 +1,246 @@
+"""The index of patterns on the disk, beside its map: arrays that are mapped, not read.
+
+`MAP.patterns` begins with a mark and the length of its head. The head is a JSON object: version,
+frame, the digest of every tile, what the map file was like (size, time of change, SHA-256 of its
+bytes), and type, shape and place of every array, which follow as plain numbers. An index whose map
+has changed since, or of another version, is not used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import InputError, OutputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.map.pattern_index.build import Run, build_index, here, kept_tiles
+from polemap.map.pattern_index.index import PatternIndex
+from polemap.map.pole_map import PoleMap
+from polemap.parsing.errors import named
+from polemap.parsing.json_text import parse_json
+
+VERSION = 1
+_MARK = b"polemap patterns\n"
+_LENGTH = struct.Struct("<Q")
+_ALIGNED = 64
+_LARGEST_HEAD = 100_000_000
+_REMEDY = "delete it and polemap map --index or polemap where builds it anew"
+_ARRAYS = {
+    "points_m": "<f8", "sd_m": "<f4", "width_m": "<f4", "cells": "<i8", "cell_first": "<i8",
+    "shapes": "<u4", "shape_first": "<i8", "pole": "<u4", "direction": "<u2",
+}  # fmt: skip
+_HASHED_AT_ONCE = 2**22
+
+
+def index_file(map_file: Path) -> Path:
+    """Where the index of a map stands."""
+    return map_file.with_name(map_file.name + ".patterns")
+
+
+def write_index(pole_map: PoleMap, map_file: Path, *, run: Run = here) -> PatternIndex:
+    """Build the index of a map that stands in a file, and write it beside it.
+
+    Of an index that is there already, tiles whose poles are the same are taken over.
+
+    Args:
+        pole_map: what the file holds.
+        run: see `build_index`.
+
+    Raises:
+        InputError: a pole that stands nowhere on the earth.
+        OutputError: the place cannot be written to.
+    """
+    path = index_file(map_file)
+    check_replaceable(path)
+    index, digests = build_index(pole_map, run=run, old=_old_tiles(path))
+    arrays = {
+        name: np.ascontiguousarray(getattr(index, name), dtype) for name, dtype in _ARRAYS.items()
+    }
+    places, offset = {}, 0
+    for name, array in arrays.items():
+        places[name] = {"shape": list(array.shape), "offset": offset}
+        offset += -(-array.nbytes // _ALIGNED) * _ALIGNED
+    head = {
+        "version": VERSION,
+        "map": _stamp(map_file) | {"sha256": _digest(map_file)},
+        "frame": index.frame.to_dict(),
+        "arrays": places,
+        "bytes": offset,
+        "tiles": {str(tile): digest for tile, digest in digests.items()},
+    }
+    text = json.dumps(head).encode()
+    text += b" " * (-(len(_MARK) + _LENGTH.size + len(text)) % _ALIGNED)
+    with atomic_file(path, [map_file]) as part, part.open("wb") as stream:
+        stream.write(_MARK + _LENGTH.pack(len(text)) + text)
+        for array in arrays.values():
+            stream.write(array.data if array.size else b"")
+            stream.write(bytes(-array.nbytes % _ALIGNED))
+    return index
+
+
+def check_replaceable(path: Path) -> None:
+    """Refuse to write an index where something else stands.
+
+    Raises:
+        OutputError: a file that is no index, or no file.
+    """
+    if not path.exists():
+        return
+    if not path.is_file() or (path.stat().st_size and not _is_marked(path)):
+        raise OutputError(f"{path}: is no index of patterns and would be replaced; move it away")
+
+
+def _is_marked(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return stream.read(len(_MARK)) == _MARK
+
+
+def read_index(map_file: Path) -> PatternIndex | None:
+    """The index of a map, its arrays mapped from the disk; None where there is none for this map.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    path = index_file(map_file)
+    if not path.is_file():
+        return None
+    head, begin = _head(path)
+    with named(path, InputError, "index of patterns"):
+        if head["version"] != VERSION:
+            return None
+        kept = {key: head["map"][key] for key in ("size", "modified_ns", "sha256")}
+    if not _is_of(kept, map_file):
+        return None
+    return _arrays(path, head, begin)
+
+
+def open_index(
+    map_file: Path, load: Callable[[], PoleMap], *, say: Callable[[str], None], run: Run = here
+) -> PatternIndex:
+    """The index of a map; built and kept beside it where it is missing, outdated or damaged.
+
+    Args:
+        load: reads the map's poles.
+        say: is told why it must be built.
+
+    Raises:
+        OutputError: it cannot be written beside the map.
+    """
+    why = f"{map_file}: it has no index of patterns"
+    try:
+        index = read_index(map_file)
+        if index is not None:
+            return index
+        if index_file(map_file).exists():
+            why = f"{index_file(map_file)}: is of another map, or of another version"
+    except InputError as error:
+        why = str(error)
+    say(f"{why}; it is built now")
+    return write_index(load(), map_file, run=run)
+
+
+def _head(path: Path) -> tuple[Any, int]:
+    """The head of an index, and where its arrays begin."""
+    with named(path, InputError, "index of patterns"), path.open("rb") as stream:
+        mark, length = stream.read(len(_MARK)), stream.read(_LENGTH.size)
+        if mark != _MARK or len(length) != _LENGTH.size:
+            raise InputError(f"{path}: is no index of patterns; {_REMEDY}")
+        (size,) = _LENGTH.unpack(length)
+        text = stream.read(min(size, _LARGEST_HEAD))
+        if len(text) != size:
+            raise InputError(f"{path}: its head is cut off; {_REMEDY}")
+        head = parse_json(text.decode())
+        wanted = {"version", "map", "frame", "arrays", "bytes", "tiles"}
+        if not isinstance(head, dict) or not wanted <= set(head):
+            raise InputError(f"{path}: its head lacks entries; {_REMEDY}")
+        return head, stream.tell()
+
+
+def _arrays(path: Path, head: Any, begin: int) -> PatternIndex:
+    with named(path, InputError, "index of patterns"):
+        size = path.stat().st_size
+        if size != begin + head["bytes"]:
+            raise InputError(
+                f"{path}: has {size} bytes, its head tells of {begin + head['bytes']}; {_REMEDY}"
+            )
+        arrays: dict[str, NDArray[Any]] = {}
+        for name, dtype in _ARRAYS.items():
+            shape = tuple(int(n) for n in head["arrays"][name]["shape"])
+            offset = int(head["arrays"][name]["offset"])
+            long = math.prod(shape) * np.dtype(dtype).itemsize
+            if min(shape) < 0 or not 0 <= offset <= head["bytes"] - long:
+                raise InputError(f"{path}: its {name} lies outside the file; {_REMEDY}")
+            arrays[name] = (
+                np.memmap(path, dtype, "r", begin + offset, shape)
+                if long
+                else np.empty(shape, dtype)
+            )
+        index = PatternIndex(frame=_frame(head, path), **arrays)
+        _check(index, path)
+        return index
+
+
+def _frame(head: Any, path: Path) -> EarthFrame:
+    try:
+        return EarthFrame.from_dict(head["frame"])
+    except InputError as error:
+        raise InputError(f"{path}: its head is damaged ({error}); {_REMEDY}") from error
+
+
+def _check(index: PatternIndex, path: Path) -> None:
+    n = len(index.points_m)
+    same = index.points_m.shape == (n, 2) and len(index.sd_m) == n and len(index.width_m) == n
+    same &= len(index.pole) == len(index.direction)
+    for starts, values, last in (
+        (index.cell_first, index.cells, n),
+        (index.shape_first, index.shapes, len(index.pole)),
+    ):
+        same &= len(starts) == len(values) + 1 and starts[0] == 0 and starts[-1] == last
+    if not same:
+        raise InputError(f"{path}: its arrays do not belong together; {_REMEDY}")
+
+
+def _old_tiles(path: Path) -> Any:
+    """Triangles by digest of the index that stands there; None where it is of no use."""
+    if not path.is_file():
+        return None
+    try:
+        head, begin = _head(path)
+        if head["version"] != VERSION:
+            return None
+        with named(path, InputError, "index of patterns"):
+            return kept_tiles(_arrays(path, head, begin), head["tiles"])
+    except InputError:
+        return None  # what cannot be read costs no more than finding it again
+
+
+def _stamp(map_file: Path) -> dict[str, int]:
+    state = map_file.stat()
+    return {"size": state.st_size, "modified_ns": state.st_mtime_ns}
+
+
+def _digest(map_file: Path) -> str:
+    digest = hashlib.sha256()
+    with map_file.open("rb") as stream:
+        while block := stream.read(_HASHED_AT_ONCE):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _is_of(kept: dict[str, Any], map_file: Path) -> bool:
+    """Whether an index was made of the map as it is; a map that was copied is read for it."""
+    with named(map_file, InputError, "map"):
+        stamp = _stamp(map_file)
+        if stamp["size"] != kept["size"]:
+            return False
+        same_time = bool(stamp["modified_ns"] == kept["modified_ns"])
+        return same_time or bool(_digest(map_file) == kept["sha256"])

@@ -1,0 +1,109 @@
+"""`polemap where` on a drive through a small town."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polemap.drivelog.writers.folder import write_drive
+from polemap.map.io import write_map
+from polemap.map.pattern_index.io import index_file
+from polemap.tools import cli
+from tests.localize.place.town import drive_in, town
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """A drive, the map of its town, and that of another."""
+    folder = tmp_path_factory.mktemp("where")
+    drive, _ = drive_in(0, 1)
+    write_drive(drive, folder / "drive")
+    write_map(town(0).surveyed(0.05, 0), folder / "town.gpkg")
+    write_map(town(1).surveyed(0.05, 1), folder / "other.geojson")
+    return folder / "drive", folder / "town.gpkg", folder / "other.geojson"
+
+
+def where(*words: object) -> int:
+    return cli.run(["where", *map(str, words)])
+
+
+def test_the_place_is_told_with_what_speaks_for_it(
+    places: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, pole_map, _ = places
+    picture = tmp_path / "place.png"
+    assert where(drive, "--map", pole_map, "--json", "--picture", picture) == cli.GOOD
+    told = json.loads(capsys.readouterr().out)
+    truth = drive_in(0, 1)[1].at(told["stamp_s"])[0]
+    assert told["found"] is True
+    assert np.hypot(told["east_m"] - truth[0], told["north_m"] - truth[1]) < 0.5
+    assert told["wrong"] < 1e-3
+    assert told["runner_up"]["log_evidence_less"] > 10.0
+    assert 0 < told["after_m"] < 100
+    assert 0 < told["after_s"] < 13
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert index_file(pole_map).is_file()
+    assert where(drive, "--map", pole_map, "--at", 5) == cli.GOOD
+    said = capsys.readouterr()
+    assert "found after" in said.out
+    assert "times less" in said.out
+    assert said.err == ""  # the index is there by now
+
+
+def test_no_place_in_another_town(
+    places: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, _, other = places
+    assert where(drive, "--map", other, "--at", 7) == cli.GOOD
+    said = capsys.readouterr()
+    assert "no place can be claimed after" in said.out
+    assert "it has no index of patterns; it is built now" in said.err
+    assert where(drive, "--map", other, "--at", 7, "--json") == cli.GOOD
+    told = json.loads(capsys.readouterr().out)
+    assert (told["found"], told["east_m"], told["stamp_s"]) == (False, None, None)
+
+
+def test_beyond_the_end_of_the_drive_nothing_is_seen(
+    places: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, pole_map, _ = places
+    assert where(drive, "--map", pole_map, "--at", 1000, "--json") == cli.GOOD
+    told = json.loads(capsys.readouterr().out)
+    assert (told["found"], told["poles"], told["runner_up"]) == (False, 0, None)
+    arguments = [drive, "--map", pole_map, "--at", 1000, "--picture", tmp_path / "a.png"]
+    assert where(*arguments) == cli.USER_ERROR
+    assert "no place to draw" in capsys.readouterr().err
+
+
+def test_a_damaged_index_is_told_and_built_anew(
+    places: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, pole_map, _ = places
+    assert where(drive, "--map", pole_map, "--at", 12) == cli.GOOD
+    index_file(pole_map).write_bytes(index_file(pole_map).read_bytes()[:-7])
+    capsys.readouterr()
+    assert where(drive, "--map", pole_map, "--at", 12) == cli.GOOD
+    said = capsys.readouterr().err
+    assert "its head tells of" in said
+    assert said.count("\n") == 1
+
+
+def test_what_is_missing_is_named(
+    places: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, pole_map, _ = places
+    assert where(drive, "--map", tmp_path / "none.gpkg") == cli.USER_ERROR
+    assert "none.gpkg: no such map" in capsys.readouterr().err
+    assert where(drive, "--map", pole_map, "--picture", "a.txt") == cli.USER_ERROR
+    assert "a picture ends in" in capsys.readouterr().err
+    made, _ = drive_in(0, 1)
+    write_drive(replace(made, odometry=None, path=tmp_path), tmp_path / "still")
+    assert where(tmp_path / "still", "--map", pole_map) == cli.USER_ERROR
+    assert "it has no odometry" in capsys.readouterr().err
+    write_drive(replace(made, scans=()), tmp_path / "blind")
+    assert where(tmp_path / "blind", "--map", pole_map) == cli.USER_ERROR
+    assert "neither images nor poles.csv" in capsys.readouterr().err
