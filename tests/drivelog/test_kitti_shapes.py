@@ -13,7 +13,8 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.registry import open_drive
 from polemap.stereo.rectify import Rectifier
 from tests.drivelog.drives import picture, png
-from tests.drivelog.test_kitti import make_sequence, stamp
+from tests.drivelog.test_kitti import make_sequence
+from tests.drivelog.test_kitti_raw import stamp
 from tests.stereo.calibrations import make_calibration, write_kitti
 
 
