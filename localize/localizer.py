@@ -225,8 +225,7 @@ class Localizer:
             late = stamp_s <= self._limiter.last_stamp_s
             answer = self._limiter.unlimited(state) if late else self._limiter.limit(state)
             reason = distrust(state, stamp_s, answer.covariance, self._health)
-            if not reason and not self._poses.particles_healthy:
-                reason = "particle_filter"
+            reason = reason or self._poses.particles_distrust
             return replace(answer, stamp_s=asked_s, distrust=reason)
 
     def summary(self) -> dict[str, int]:

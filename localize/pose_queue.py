@@ -61,8 +61,9 @@ class PoseQueue:
         self._output, self._counts, self._times = output, counts, times
         self._delay_s, self._on_update = delay_s, on_update
         self.slip_rad_per_mps2 = slip_rad_per_mps2
-        # what the particle filter said last; without one the output stands for itself
-        self.particles_healthy = True
+        # why the particle filter's last pose may not be trusted; without one the output stands for
+        # itself
+        self.particles_distrust = ""
         self._pending: list[tuple[float, int, PfEstimate, float]] = []
         self._numbers = count()
 
@@ -83,7 +84,9 @@ class PoseQueue:
 
     def _offer(self, estimate: PfEstimate) -> tuple[str, float, float]:
         """Let the filter's health and then the gate decide; decision, NIS and time spent."""
-        self.particles_healthy = estimate.healthy
+        self.particles_distrust = "" if estimate.healthy else "particle_filter"
+        if not estimate.healthy and estimate.detector:
+            self.particles_distrust = "detector"
         problem = usable_pose(estimate.stamp_s, estimate.pose, estimate.covariance)
         if problem is not None:
             self._counts[f"pose_{problem}"] += 1

@@ -79,6 +79,8 @@ class PfEstimate:
         event: "initialized", "reinitialized", "explored" or None.
         usable: whether poles hold the pose, even if odometry is silent or in doubt.
         odometry: what the poles say of the odometry, None where they do not know.
+        detector: what of the detector's calibration the way of the car contradicts: "turned",
+            "ranges", "stamps", or "" for nothing.
     """
 
     stamp_s: float
@@ -91,6 +93,7 @@ class PfEstimate:
     event: Event | None
     usable: bool = True
     odometry: Opinion | None = None
+    detector: str = ""
 
 
 def mean_and_covariance(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:

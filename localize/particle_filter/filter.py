@@ -17,6 +17,7 @@ from polemap.localize.gnss.particle_weights import FixWeights
 from polemap.localize.map_window import MapWindow
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.odometry_watch import Held
+from polemap.localize.particle_filter.detector_check import DetectorCheck
 from polemap.localize.particle_filter.estimate import (
     Event,
     HealthRecord,
@@ -104,6 +105,7 @@ class ParticleFilter:
         self._window.users += [self._weigher, self._recovery, self._twins]
         # of the last estimate
         self._pose, self._odometry_pose = np.zeros(3), np.zeros(3)
+        self._detector = DetectorCheck(config.poles)
 
     @property
     def initialized(self) -> bool:
@@ -331,11 +333,13 @@ class ParticleFilter:
                 self.counts["poles_contradict"] += 1
                 self._recovery.proof.doubt()
         unmatched |= strange.contradict
+        self._check_detector(scan, event, pose, step)
         opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
         settled = self._recovery.proof.proven and len(modes) == 1
         narrow = major <= config.health.sd_max_m
         usable = settled and narrow and self._recovery.lost.fits and not unmatched
         healthy = usable and not self._odometry.doubted and opinion != "contradicted"
+        healthy &= not self._detector.contradicts
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,
@@ -356,5 +360,18 @@ class ParticleFilter:
         )
         return PfEstimate(
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event,
-            usable, opinion,
+            usable, opinion, self._detector.contradicts,
         )  # fmt: skip
+
+    def _check_detector(
+        self, scan: Detections, event: Event | None, pose: Floats, step: Step
+    ) -> None:
+        check = self._detector
+        if self._odometry.doubted or event in ("initialized", "reinitialized"):
+            check.forget()
+        elif self._recovery.proof.proven:
+            rates = self._history.rates_at(scan.stamp_s)
+            if check.add_scan(
+                scan, self._landmarks, pose, step.odometry_pose, step.travelled_m, rates
+            ):
+                self.counts[f"detector_{check.contradicts}"] += 1
