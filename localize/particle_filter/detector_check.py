@@ -16,8 +16,9 @@ Floats = NDArray[np.float64]
 
 KINDS = ("turned", "ranges", "stamps")
 """What may be wrong, as the columns of `StretchFit.values`."""
-# the last so many metres are looked at, each for itself: short ones soon, long ones closely
-_STRETCHES_M = (10.0, 20.0, 40.0, 80.0)
+# the last so many metres are looked at, each for itself: short ones soon, long ones closely; there
+# are more of the short ones, so more standard deviations are asked of them
+_STRETCHES_M = {10.0: 3.5, 20.0: 3.0, 40.0: 2.5, 60.0: 2.5, 80.0: 2.5}
 _LONGEST_S = 60.0
 # scans closer together add little; fits are made so often
 _APART_M, _INTERVAL_M = 0.8, 3.0
@@ -30,19 +31,19 @@ _TOLERANCE = np.array([0.0087, 0.02, 0.1])
 # besides what the fit states, sd of what no column explains: side-slip that comes and goes makes
 # 0.3 degrees on Victoria Park
 _UNEXPLAINED = np.array([0.0052, 0.01, 0.02])
-_LARGEST_SD, _SETTLED_SD, _SETTLED_M = 2.5, 1.0, 20.0
+_SETTLED_SD, _SETTLED_M = 1.0, 20.0
 
 
 class DetectorCheck:
     """Follows the matched poles of the last 80 m.
 
     A contradiction is a turn, scale or stamp error that exceeds what is tolerated by more than 2.5
-    standard deviations in any of four stretches; it is over when none exceeds that by more than
-    one for 20 m. Of a detector that is right a stretch says so less than once in 5,000; of one that
-    is as wrong as is tolerated once in 160.
+    standard deviations (3 and 3.5 in the short ones) in any of five stretches. It is over when the
+    longest stretch excludes what was found, and finds nothing itself, for 20 m. Of a detector that
+    is as wrong as is tolerated a stretch says so once in 160 times, of one that is right hardly
+    ever.
 
     Attributes:
-        contradicts: the name of what is wrong, "" while nothing is.
         fit: of the longest stretch at the last look; None before the first.
     """
 
@@ -50,9 +51,14 @@ class DetectorCheck:
         self._config = config
         self._looks: list[Look] = []
         self._fitted_m = -np.inf
-        self._wrong_m = -np.inf
-        self.contradicts = ""
+        # which of `KINDS` is wrong, by how much, and since where that is refuted
+        self._kind, self._found, self._sound_since_m = -1, 0.0, np.inf
         self.fit: StretchFit | None = None
+
+    @property
+    def contradicts(self) -> str:
+        """The name of what is wrong, "" while nothing is."""
+        return KINDS[self._kind] if self._kind >= 0 else ""
 
     def forget(self) -> None:
         """The path was broken: a new place, or an odometry in doubt. What was found stands."""
@@ -86,7 +92,7 @@ class DetectorCheck:
         share = independent_share(moved_m, elapsed_s, self._config)
         looks.append(_matched(scan, landmarks, pose, odometry_pose, travelled_m, rates, share))
         while (
-            looks[0].travelled_m < travelled_m - _STRETCHES_M[-1]
+            looks[0].travelled_m < travelled_m - max(_STRETCHES_M)
             or looks[0].stamp_s < scan.stamp_s - _LONGEST_S
         ):
             looks.pop(0)
@@ -100,25 +106,33 @@ class DetectorCheck:
         ways = np.repeat(
             [look.travelled_m for look in looks], [len(look.poles) for look in looks]
         )
-        worst, kind = -np.inf, ""
-        stretch: Stretch | None = None
-        for length_m in _STRETCHES_M:
+        worst, kind, stretch = 0.0, -1, None
+        sound = True
+        for length_m, limit_sd in _STRETCHES_M.items():
             since_m = travelled_m - length_m
             if np.count_nonzero(ways >= since_m) < _LEAST_LOOKS:
                 continue
             stretch = stretch or Stretch(looks, pose)
-            self.fit = stretch.fit(since_m)
-            excess = (np.abs(self.fit.values) - _TOLERANCE) / np.hypot(self.fit.sd, _UNEXPLAINED)
-            if excess.max() > worst:
-                worst, kind = float(excess.max()), KINDS[int(excess.argmax())]
-        if worst > _SETTLED_SD:
-            self._wrong_m = travelled_m
-        begins = worst > _LARGEST_SD and not self.contradicts
-        if worst > _LARGEST_SD:
-            self.contradicts = kind
-        elif travelled_m - self._wrong_m > _SETTLED_M and np.isfinite(worst):
-            self.contradicts = ""
-        return begins
+            fit = self.fit = stretch.fit(since_m)
+            sd = np.hypot(fit.sd, _UNEXPLAINED)
+            excess = (np.abs(fit.values) - _TOLERANCE) / sd
+            if excess.max() - limit_sd > worst:
+                worst, kind = float(excess.max()) - limit_sd, int(excess.argmax())
+                found = float(fit.values[kind])
+            sound = bool(excess.max() < _SETTLED_SD) and (
+                self._kind < 0 or abs(fit.values[self._kind] - self._found) > limit_sd * sd[self._kind]
+            )
+        if kind >= 0:
+            begins, self._kind, self._found = self._kind < 0, kind, found
+            self._sound_since_m = np.inf
+            return begins
+        if stretch is None or not sound:
+            self._sound_since_m = np.inf
+        else:
+            self._sound_since_m = min(self._sound_since_m, travelled_m)
+            if travelled_m - self._sound_since_m >= _SETTLED_M:
+                self._kind = -1
+        return False
 
 
 def _matched(

@@ -20,10 +20,10 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 # sd before the stretch is seen: place of it, m, and heading, rad; of the odometry the yaw rate's
-# offset, rad/s, the scales of speed and turn, and the side-slip for a lateral acceleration,
-# rad per m/s^2
+# offset, rad/s, and that of the curvature, 1/m (a steering that is not in its middle), the scales
+# of speed and turn, and the side-slip for a lateral acceleration, rad per m/s^2
 _PLACE_SD = (3.0, 3.0, 0.1)
-_ODOMETRY_SD = (0.004, 0.03, 0.04, 0.005)
+_ODOMETRY_SD = (0.004, 0.002, 0.03, 0.04, 0.005)
 # of the calibration: turn, rad, scale of the ranges, stamps, s
 _CALIBRATION_SD = (0.012, 0.02, 0.1)
 # a map pole is known no better, and a detection, m
@@ -105,7 +105,8 @@ class Stretch:
         design = np.zeros((len(k), 2, _COMMON + 2 * len(poles)))
         design[:, :, :2] = -map_to_car
         design[:, :, 2] = -np.einsum("nij,nj->ni", map_to_car, _left_of(mapped - pose[:2]))
-        for j, (yaw, moved) in enumerate(_bends(path, seconds, speed * turn_rate)):
+        ways = np.array([look.travelled_m for look in looks]) - looks[-1].travelled_m
+        for j, (yaw, moved) in enumerate(_bends(path, seconds, ways, speed * turn_rate)):
             design[:, :, len(_PLACE_SD) + j] = (
                 -np.einsum("nij,nj->ni", map_to_car, moved[k]) - yaw[k, None] * aside
             )
@@ -169,7 +170,9 @@ def _path_to(pose: Floats, odometry: Floats) -> Floats:
     return np.column_stack([place, odometry[:, 2] + turn])
 
 
-def _bends(path: Floats, seconds: Floats, lateral: Floats) -> list[tuple[Floats, Floats]]:
+def _bends(
+    path: Floats, seconds: Floats, ways: Floats, lateral: Floats
+) -> list[tuple[Floats, Floats]]:
     """How yaw `(n,)` and place `(n, 2)` change with each error of the odometry, per unit."""
     step = np.diff(path[:, :2], axis=0, prepend=path[:1, :2])
     still = np.zeros(len(path))
@@ -185,6 +188,7 @@ def _bends(path: Floats, seconds: Floats, lateral: Floats) -> list[tuple[Floats,
     turned = path[:, 2] - path[-1, 2]
     return [
         (seconds, aside(seconds)),
+        (ways, aside(ways)),
         (still, summed(step)),
         (turned, aside(turned)),
         (still, aside(-lateral)),
