@@ -6,21 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.campaign.drives import STREET, car_park, street
-from benchmarks.campaign.faults import (
+from benchmarks.campaign.detector_faults import (
     Faulty,
     Kind,
+    frozen_scans,
+    mirrored,
+    ranges_times,
+    scans_at_another_time,
+    scans_changed,
+    turned,
+)
+from benchmarks.campaign.drives import STREET, car_park, street
+from benchmarks.campaign.faults import (
     aged_map,
     doubled_map,
     fixes_jump,
     fixes_late,
     fixes_walk,
-    frozen_scans,
-    mirrored,
+    odometry_held_back,
     other_map,
     parked,
-    ranges_times,
-    scans_changed,
     silent,
     speed_drifts,
     speed_times,
@@ -77,6 +82,9 @@ KINDS: dict[str, Kind] = {
     "detector ranges x 0.9 from the start": scans_changed(ranges_times(0.9), start_s=-1.0),
     "detector ranges x 0.9": scans_changed(ranges_times(0.9)),
     "detector ranges x 1.1": scans_changed(ranges_times(1.1)),
+    "detector turned by 2 degrees": scans_changed(turned(np.radians(2.0))),
+    "scans stamped 0.3 s early for 8 s": scans_at_another_time(-0.3, 8.0),
+    "odometry held back by 0.5 s for 8 s": odometry_held_back(0.5, 8.0),
     "poles mirrored for 5 s": scans_changed(mirrored, 5.0),
     "poles frozen for 3 s": frozen_scans(3.0),
 }

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.campaign.car_parks import Layout, hard_car_park
+from benchmarks.campaign.detector_faults import Faulty, Kind
 from benchmarks.campaign.drives import Case, blind, street
-from polemap.drivelog.detections import Detections
 from polemap.map.pole_map import PoleMap
 from polemap.simulate.map_faults import with_extra_poles, without_poles
 from polemap.simulate.stream_faults import GnssOffset, OdometryDropout
@@ -18,18 +18,6 @@ from polemap.vehicle.pose import rotation
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class Faulty:
-    """A case with its fault in it, from `from_s` until `until_s` (infinite where it lasts)."""
-
-    case: Case
-    from_s: float = 0.0
-    until_s: float = np.inf
-
-
-Kind = Callable[[int], Faulty]
 
 
 def bend_s(case: Case, first_s: float = 14.0, last_s: float = 26.0) -> float:
@@ -110,6 +98,27 @@ def silent(seconds: float) -> Kind:
         start = bend_s(case)
         fault = OdometryDropout(from_s=start, until_s=start + seconds)
         drive = fault.apply(case.drive, np.random.default_rng(seed))
+        return Faulty(replace(case, drive=drive), start, start + seconds)
+
+    return kind
+
+
+def odometry_held_back(by_s: float, seconds: float) -> Kind:
+    """Odometry tells what was `by_s` ago, under stamps that look right."""
+
+    def kind(seed: int) -> Faulty:
+        case, start = street(seed), 18.0
+        odometry = case.drive.odometry
+        assert odometry is not None
+        stamps = odometry.stamp_s
+        late = (stamps >= start) & (stamps < start + seconds)
+        then = np.where(late, stamps - by_s, stamps)
+        changed = replace(
+            odometry,
+            speed_mps=np.interp(then, stamps, odometry.speed_mps),
+            yaw_rate_radps=np.interp(then, stamps, odometry.yaw_rate_radps),
+        )
+        drive = replace(case.drive, odometry=changed)
         return Faulty(replace(case, drive=drive), start, start + seconds)
 
     return kind
@@ -212,58 +221,6 @@ def other_map(seed: int) -> Faulty:
     return Faulty(replace(case, pole_map=moved))
 
 
-def scans_changed(
-    change: Callable[[Detections], Detections], seconds: float = np.inf, start_s: float = 18.0
-) -> Kind:
-    """A detector that reports something else for a while."""
-
-    def kind(seed: int) -> Faulty:
-        case, until_s = street(seed), start_s + seconds
-        scans = tuple(
-            change(s) if start_s <= s.stamp_s < until_s and len(s) else s for s in case.scans
-        )
-        return Faulty(replace(case, scans=scans), start_s, until_s)
-
-    return kind
-
-
-def mirrored(scan: Detections) -> Detections:
-    """Left and right exchanged."""
-    flip = np.array([1.0, -1.0])
-    return scan.with_columns(
-        points_vehicle_m=scan.points_vehicle_m * flip,
-        covariance_m2=scan.covariance_m2 * np.outer(flip, flip),
-    )
-
-
-def ranges_times(factor: float) -> Callable[[Detections], Detections]:
-    """A baseline or a unit that is wrong: every pole is too near, or too far."""
-    return lambda scan: scan.with_columns(
-        points_vehicle_m=scan.points_vehicle_m * factor,
-        covariance_m2=scan.covariance_m2 * factor**2,
-    )
-
-
-def frozen_scans(seconds: float) -> Kind:
-    """The detector repeats one scan under new stamps."""
-
-    def kind(seed: int) -> Faulty:
-        case = street(seed)
-        first = next(s for s in case.scans if s.stamp_s >= 18.0 and len(s))
-        scans = tuple(
-            replace(first, stamp_s=s.stamp_s, arrival_s=s.arrival_s)
-            if 18.0 <= s.stamp_s < 18.0 + seconds
-            else s
-            for s in case.scans
-        )
-        return Faulty(replace(case, scans=scans), 18.0, 18.0 + seconds)
-
-    return kind
-
-
 def parked(layout: Layout) -> Kind:
     """Nothing is wrong with the sensors that is not always so in a car park."""
     return lambda seed: Faulty(hard_car_park(seed, layout), 20.0)
-
-
-"""Every kind by its name."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.campaign.faults import Faulty
+from benchmarks.campaign.detector_faults import Faulty
 from polemap.localize.replay import Run
 from polemap.vehicle.trajectory import Trajectory
 

@@ -9,7 +9,7 @@ Source: the idea of matching local pole patterns is Brenner's (2009); the search
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from polemap.localize.particle_filter.recent_poles import REMEMBERED_M
 from polemap.map.pole_map import PoleMap
-from polemap.vehicle.pose import rigid_fit, transform_points, wrap_angle
+from polemap.vehicle.pose import pose_rotation, rigid_fit, transform_points, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +29,10 @@ _MOST_CANDIDATES = 6000
 _WINDOW_MARGIN_M = 60.0
 _SAME_M = 1.5
 _SAME_RAD = 0.15
+
+# error of a remembered pole: of its range, of its bearing, and in the map, m; errors of one scan
+# stay with the next, so many scans make no better pole
+_RANGE_SHARE, _BEARING_RAD, _MAP_M = 0.02, 0.003, 0.1
 
 LOG_ODDS_A_POLE = 1.5
 """What one more pole that fits says for a pose."""
@@ -42,12 +46,14 @@ class Candidates:
     """Poses `(k, 3)` of the rear axle, best first, with the number of poles that each explains.
 
     `score` is the sum over these poles of how well they fit, 0 to 1 each, less what else speaks
-    against the pose.
+    against the pose. `covariance` `(k, 3, 3)` is that of the poles that it stands on; of poses that
+    were only judged there is none.
     """
 
     poses: Floats
     matched: NDArray[np.int64]
     score: Floats
+    covariance: Floats = field(default_factory=lambda: np.empty((0, 3, 3)))
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -131,7 +137,15 @@ class ConstellationIndex:
             return empty
         found = self.judge(refined, points, tolerance_m, against)
         order = np.argsort(-found.score, kind="stable")
-        return Candidates(found.poses[order], found.matched[order], found.score[order])
+        poses = found.poses[order]
+        covariance = np.array([self._covariance(pose, points, tolerance_m) for pose in poses])
+        return replace(
+            found,
+            poses=poses,
+            matched=found.matched[order],
+            score=found.score[order],
+            covariance=covariance,
+        )
 
     def _hypotheses(
         self,
@@ -200,6 +214,24 @@ class ConstellationIndex:
                 break
             pose = rigid_fit(points[near], self._points[row[near]])
         return pose
+
+    def _covariance(self, pose: Floats, points: Floats, tolerance_m: float) -> Floats:
+        """Of a pose that stands on the poles that it explains, `(3, 3)` in the map.
+
+        Two poles side by side far ahead leave the car a wide arc around them.
+        """
+        distance, _ = self._nearest(transform_points(pose, points), tolerance_m)
+        near = points[distance < tolerance_m]
+        ranges = np.maximum(np.hypot(*near.T), 1.0)
+        ahead = near / ranges[:, None]
+        axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)], axis=1)
+        # along and across the line of sight, for a step of the car ahead, aside, and a turn
+        design = np.concatenate([axes, np.stack([0.0 * ranges, ranges], axis=1)[..., None]], axis=2)
+        sd = np.stack([_RANGE_SHARE * ranges, _BEARING_RAD * ranges], axis=1)
+        information = np.einsum("nai,na,naj->ij", design, 1.0 / (sd**2 + _MAP_M**2), design)
+        turn = pose_rotation(pose[2])
+        known = information + np.diag(1.0 / np.square([_SAME_M, _SAME_M, _SAME_RAD]))
+        return np.asarray(turn @ np.linalg.inv(known) @ turn.T)
 
 
 def _spread(

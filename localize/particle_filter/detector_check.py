@@ -25,8 +25,8 @@ _APART_M, _INTERVAL_M = 0.8, 3.0
 _LEAST_LOOKS = 8
 # a pose that is wrong by this much still finds its poles
 _MATCH_M = 2.0
-# a calibration is as good as this in use: 0.5 degrees, 2 %, 0.1 s (of a recording that is held good,
-# Victoria Park, the laser's stamps are 0.07 s off)
+# a calibration is as good as this in use: 0.5 degrees, 2 %, 0.1 s (of a recording that is held
+# good, Victoria Park, the laser's stamps are 0.07 s off)
 _TOLERANCE = np.array([0.0087, 0.02, 0.1])
 # besides what the fit states, sd of what no column explains: side-slip that comes and goes makes
 # 0.3 degrees on Victoria Park
@@ -104,7 +104,7 @@ class DetectorCheck:
     def _judge(self, pose: Floats, travelled_m: float) -> bool:
         looks = self._looks
         ways = np.repeat(
-            [look.travelled_m for look in looks], [len(look.poles) for look in looks]
+            [look.travelled_m for look in looks], [len(look.map_points_m) for look in looks]
         )
         worst, kind, stretch = 0.0, -1, None
         sound = True
@@ -120,7 +120,8 @@ class DetectorCheck:
                 worst, kind = float(excess.max()) - limit_sd, int(excess.argmax())
                 found = float(fit.values[kind])
             sound = bool(excess.max() < _SETTLED_SD) and (
-                self._kind < 0 or abs(fit.values[self._kind] - self._found) > limit_sd * sd[self._kind]
+                self._kind < 0
+                or abs(fit.values[self._kind] - self._found) > limit_sd * sd[self._kind]
             )
         if kind >= 0:
             begins, self._kind, self._found = self._kind < 0, kind, found
@@ -167,7 +168,6 @@ def _matched(
         yaw_rate_radps=rates[1],
         points_vehicle_m=scan.points_vehicle_m.reshape(-1, 2)[mine],
         covariance_m2=scan.covariance_m2.reshape(-1, 2, 2)[mine],
-        poles=landmarks.rows[theirs],
         map_points_m=landmarks.points_m[theirs],
         map_var_m2=landmarks.covariance_m2[theirs, :2].mean(axis=1),
         share=share,

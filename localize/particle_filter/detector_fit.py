@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from polemap.vehicle.pose import rotation
 
 Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 # sd before the stretch is seen: place of it, m, and heading, rad; of the odometry the yaw rate's
 # offset, rad/s, and that of the curvature, 1/m (a steering that is not in its middle), the scales
@@ -43,8 +42,7 @@ class Look:
         odometry_pose: `(3,)` dead reckoned.
         speed_mps, yaw_rate_radps: of the car.
         points_vehicle_m, covariance_m2: `(n, 2)` and `(n, 2, 2)` of the poles that match.
-        poles: `(n,)` rows of the map.
-        map_points_m, map_var_m2: `(n, 2)` and `(n,)` of them.
+        map_points_m, map_var_m2: `(n, 2)` and `(n,)` of the map poles that they match.
         share: of the scan that is independent of the one before.
     """
 
@@ -55,7 +53,6 @@ class Look:
     yaw_rate_radps: float
     points_vehicle_m: Floats
     covariance_m2: Floats
-    poles: Rows
     map_points_m: Floats
     map_var_m2: Floats
     share: float
@@ -86,12 +83,12 @@ class Stretch:
     """
 
     def __init__(self, looks: list[Look], pose: Floats) -> None:
-        count = np.array([len(look.poles) for look in looks])
+        count = np.array([len(look.map_points_m) for look in looks])
         k = np.repeat(np.arange(len(looks)), count)  # the scan of each row
-        poles, column = np.unique(
-            np.concatenate([look.poles for look in looks]), return_inverse=True
-        )
         mapped = np.concatenate([look.map_points_m for look in looks])
+        # a pole is known by its place: rows are of a window that may have moved on
+        poles, column = np.unique(mapped, axis=0, return_inverse=True)
+        column = column.ravel()
         self._travelled_m = np.array([look.travelled_m for look in looks])[k]
         self._share = np.array([look.share for look in looks])[k]
         path = _path_to(pose, np.array([look.odometry_pose for look in looks]))
@@ -142,9 +139,7 @@ class Stretch:
         scatter = 1.0
         for _ in range(_ROUNDS):
             weighted = design * (share * weight)[:, None, None]
-            covariance = np.linalg.inv(
-                weighted.reshape(flat.shape).T @ flat + np.diag(self._prior)
-            )
+            covariance = np.linalg.inv(weighted.reshape(flat.shape).T @ flat + np.diag(self._prior))
             values = covariance @ (weighted.reshape(flat.shape).T @ target.ravel())
             rest = np.hypot(*(target - design @ values).T)
             weight = np.minimum(1.0, _HUBER / np.maximum(rest, 1e-9))

@@ -107,9 +107,10 @@ def draw_poses(
     parts = [np.empty((0, 3))]
     if from_candidates:
         chosen = rng.choice(len(candidates), size=from_candidates, p=odds / odds.sum())
-        spread = np.array([_CANDIDATE_SD_M, _CANDIDATE_SD_M, _CANDIDATE_SD_RAD])
-        noise = rng.standard_normal((from_candidates, 3)) * spread
-        parts.append(candidates.poses[chosen] + noise)
+        least = np.diag(np.square([_CANDIDATE_SD_M, _CANDIDATE_SD_M, _CANDIDATE_SD_RAD]))
+        root = np.linalg.cholesky(candidates.covariance + least)
+        noise = rng.standard_normal((from_candidates, 3))
+        parts.append(candidates.poses[chosen] + np.einsum("nij,nj->ni", root[chosen], noise))
     if gnss is not None and count > from_candidates:
         parts.append(gnss.sample(count - from_candidates, rng))
     return np.vstack(parts)

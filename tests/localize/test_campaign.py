@@ -85,7 +85,7 @@ def test_a_hard_car_park_stops_turns_tightly_and_goes_back() -> None:
 
 def test_held_out_kinds_are_others_and_can_be_made() -> None:
     assert not set(HELD_OUT) & set(KINDS)
-    for name in ("every scan twice", "odometry held back by 0.5 s for 8 s"):
+    for name in ("every scan twice", "odometry's lag grows to 0.4 s over 12 s"):
         faulty = HELD_OUT[name](0)
         plain = street(0)
         changed = len(faulty.case.scans) != len(plain.scans)

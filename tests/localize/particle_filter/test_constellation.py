@@ -6,9 +6,9 @@ import numpy as np
 
 from polemap.localize.particle_filter.constellation import ConstellationIndex
 from polemap.localize.particle_filter.recent_poles import RecentPoles
-from polemap.vehicle.pose import wrap_angle
+from polemap.vehicle.pose import rotation, transform_points, wrap_angle
 from tests.localize.streets import seen_from, street
-from tests.pole_maps import plain_scan
+from tests.pole_maps import plain_map, plain_scan
 
 
 def test_constellation_is_found_in_the_whole_map() -> None:
@@ -98,3 +98,24 @@ def test_memory_joins_scans_and_forgets_what_lies_behind() -> None:
             assert len(around) >= 4
             assert distance.min(axis=1).max() < 1e-6
     assert len(memory.around(np.array([118.0, 0.0, 0.0]))) == 0
+
+
+def test_two_poles_far_ahead_leave_an_arc_and_many_around_do_not() -> None:
+    rng = np.random.default_rng(1)
+    pose = np.array([10.0, -4.0, 0.7])
+    sds = []
+    for local in ([[22.0, -6.0], [27.0, -2.0]], [[20.0, 8.0], [5.0, -6.0], [12.0, 7.0], [25, -7]]):
+        world = plain_map(transform_points(pose, local))
+        found = ConstellationIndex(world).find(
+            local, tolerance_m=0.6, min_poles=2, rng=rng, centre_m=pose[:2], reach_m=5.0
+        )
+        covariance = found.covariance[np.flatnonzero(found.at(pose))[0]]
+        along, aside = np.linalg.eigh(covariance[:2, :2])
+        sds.append(np.sqrt(along[-1]))
+        if len(local) == 2:
+            # the car may stand elsewhere on a circle around the two
+            assert abs(aside[:, -1] @ (rotation(pose[2]) @ [0.97, -0.16])) < 0.3
+            assert np.sqrt(covariance[2, 2]) > 0.03
+        assert np.linalg.eigvalsh(covariance)[0] > 0.0
+    assert sds[0] > 0.8
+    assert sds[1] < 0.35

@@ -20,8 +20,9 @@ def test_draws_come_from_candidates_and_gnss() -> None:
     rng = np.random.default_rng(0)
     gnss = GnssPose(np.array([100.0, 0.0, 0.0]), np.diag([4.0, 4.0, 0.01]), True)
     good = Candidates(
-        np.array([[0.0, 0.0, 1.0], [50.0, 0.0, 1.0]]), np.array([8, 3]), np.array([7.0, 2.0])
-    )
+        np.array([[0.0, 0.0, 1.0], [50.0, 0.0, 1.0]]), np.array([8, 3]), np.array([7.0, 2.0]),
+        np.zeros((2, 3, 3)),
+    )  # fmt: skip
     none = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0))
     assert draw_poses(500, None, none, rng).shape == (0, 3)
     assert (np.abs(draw_poses(500, gnss, none, rng)[:, 0] - 100) < 15).all()
