@@ -237,15 +237,25 @@ class Build:
             if topic.undecodable:
                 self._problems[f"{name} undecodable"] += topic.undecodable
             if topic.differs and name in used_topics(self._mapping):
-                self._notes.append(
-                    f"{name}: {topic.differs} of {topic.count} calibrations differ from the first, "
-                    "which is taken"
-                )
+                self._findings.append(
+                    Finding(
+                        "calibration_changes", "warning", name,
+                        f"{topic.differs} of {topic.count} calibrations differ from the first",
+                        "one calibration", "the first is taken; cut the recording where it changes",
+                    )
+                )  # fmt: skip
         for damage in self._index.damage:
             self._findings.append(
                 Finding(
                     "log_damaged", "warning", self._path.name, damage, "a whole recording",
                     "restore it, or mend it: `rosbag reindex`, `ros2 bag reindex`, `mcap recover`",
+                )
+            )  # fmt: skip
+        if not any(topic.count for topic in self._index.topics.values()):
+            self._findings.append(
+                Finding(
+                    "log_empty", "error", self._path.name, "no message", "a recording of a drive",
+                    "look whether the recorder was subscribed to the topics",
                 )
             )  # fmt: skip
         videos = [name for name, topic in self._index.topics.items() if is_video(topic)]

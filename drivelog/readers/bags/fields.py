@@ -102,6 +102,10 @@ _EXTRACTS: dict[Kind, Extract] = {
 }
 
 
+class FieldError(ValueError):
+    """A mapping names a field that a message does not have, or that holds no number."""
+
+
 def extract_of(kind: Kind) -> Extract | None:
     """What takes the `COLUMNS` of a kind from a message; None for kinds that have none."""
     return _EXTRACTS.get(kind)
@@ -111,17 +115,32 @@ def by_path(paths: Sequence[str]) -> Extract:
     """What takes the numbers at dotted paths, such as `twist.linear.x` or `velocity[2]`.
 
     Raises (when called):
-        AttributeError, LookupError, TypeError: the message has no such field.
+        FieldError: the message has no such field, or no number in it.
     """
     steps = [path.replace("[", ".").replace("]", "").split(".") for path in paths]
 
     def extract(message: Any) -> Row:
-        values = []
-        for path in steps:
-            value = message
-            for step in path:
-                value = value[int(step)] if step.isdigit() else getattr(value, step)
-            values.append(float(value))
-        return values
+        return [_at(message, path, name) for path, name in zip(steps, paths, strict=True)]
 
     return extract
+
+
+def _at(message: Any, path: Sequence[str], name: str) -> float:
+    value = message
+    for step in path:
+        try:
+            value = value[int(step)] if step.isdigit() else getattr(value, step)
+        except (AttributeError, LookupError, TypeError):
+            there = [field for field in getattr(value, "__slots__", ()) or _fields_of(value)
+                     if not field.startswith("_")]  # fmt: skip
+            hint = f"; there are: {', '.join(there[:8])}" if there else ""
+            raise FieldError(f"it has no field '{name[:60]}'{hint}") from None
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise FieldError(f"its field '{name[:60]}' is no number") from None
+
+
+def _fields_of(value: Any) -> Sequence[str]:
+    """Names of the fields of a message."""
+    return list(getattr(value, "__dict__", ()))

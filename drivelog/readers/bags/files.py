@@ -24,7 +24,7 @@ _SHOWN = 3
 def is_log(path: Path) -> bool:
     """Whether a path is a recording, by its first bytes or, for a folder, by what lies in it."""
     if path.is_dir():
-        return _is_rosbag2(path) or bool(_parts(path))
+        return _is_rosbag2(path) or bool(_parts(path) or _empty_parts(path))
     # a file that only has the name of one is told what is wrong with it
     return path.is_file() and (_magic(path) is not None or path.suffix in _ENDINGS)
 
@@ -39,7 +39,8 @@ def open_containers(path: Path) -> tuple[Container, ...]:
         return (_container(path, zstd=False),)
     if _is_rosbag2(path):
         return _rosbag2(path)
-    return tuple(_container(part, zstd=False) for part in _parts(path))
+    # a recorder that was killed may leave an empty part after whole ones
+    return tuple(_container(part, zstd=False) for part in _parts(path) or _empty_parts(path))
 
 
 def _is_rosbag2(path: Path) -> bool:
@@ -58,6 +59,12 @@ def _parts(folder: Path) -> list[Path]:
     ]  # fmt: skip
     found = [file for file in found if file.is_file() and _magic(file) is not None]
     return sorted(found, key=lambda file: _natural(file.name))
+
+
+def _empty_parts(folder: Path) -> list[Path]:
+    """Files of a folder that are called as recordings and hold nothing."""
+    found = [file for file in folder.iterdir() if file.suffix in _ENDINGS and file.is_file()]
+    return sorted(file for file in found if file.stat().st_size == 0)
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

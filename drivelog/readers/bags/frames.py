@@ -122,7 +122,9 @@ def pair_pictures(
     if tolerance_s is not None:
         tolerance = round(tolerance_s * 1e9)
     elif len(ours) > 1:
-        tolerance = min(tolerance, int(np.median(np.diff(ours)) // 2))
+        steps = np.diff(ours)
+        steps = steps[steps > 0]  # pictures that were recorded twice
+        tolerance = min(tolerance, int(np.median(steps) // 2)) if len(steps) else tolerance
     matched = nearest_once(ours, theirs, tolerance)
     kept = np.flatnonzero(matched >= 0)
     for name, lost in (("left", len(ours) - len(kept)), ("right", len(theirs) - len(kept))):

@@ -225,6 +225,10 @@ def _why_not(topic: Topic, used: Iterable[str]) -> str:
         return "holds no message"
     if topic.undecodable == topic.count or (topic.reason and not topic.undecodable):
         return topic.reason[:100]
+    if topic.kind == "picture":
+        return "no pair: one of two cameras is told by left and right, 0 and 1, or by calibration"
+    if topic.kind == "camera":
+        return "its pictures are not used"
     if topic.kind == "poles":
         return "another topic of poles was recorded first"
     if is_video(topic):

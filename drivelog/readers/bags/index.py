@@ -30,7 +30,7 @@ from polemap.drivelog.readers.bags.decoding import (
     head_stamp_ns,
     stamp_ns,
 )
-from polemap.drivelog.readers.bags.fields import COLUMNS, Extract, by_path, extract_of
+from polemap.drivelog.readers.bags.fields import COLUMNS, Extract, FieldError, by_path, extract_of
 from polemap.drivelog.readers.bags.transforms import TransformTree, transforms_of
 from polemap.drivelog.readers.bags.types import Kind, kind_of
 from polemap.errors import PolemapError
@@ -250,7 +250,10 @@ class _Builder:
             if isinstance(error, MemoryError | PolemapError):
                 raise
             topic.undecodable += 1
-            topic.reason = topic.reason or f"{type(error).__name__}: {error}"
+            why = (
+                str(error) if isinstance(error, FieldError) else f"{type(error).__name__}: {error}"
+            )
+            topic.reason = topic.reason or why
 
     def _decode(self, way: _Way, decode: Decode, message: Message, file: int) -> None:
         topic = way.topic
