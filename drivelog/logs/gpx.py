@@ -14,7 +14,7 @@ import numpy as np
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.logs.log_files import PointLog
-from polemap.parsing.errors import named
+from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.text import MEGABYTE, check_size
 
 LARGEST_BYTES = 1000 * MEGABYTE
@@ -65,9 +65,9 @@ class _Reader:
         """Entities can stand for anything, of any length.
 
         Raises:
-            InputError: always.
+            ParsingError: always.
         """
-        raise InputError("GPX with a document type or entities is not read; remove them")
+        raise ParsingError("GPX with a document type or entities is not read; remove them")
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         name = tag.rpartition(" ")[2]
@@ -83,7 +83,7 @@ class _Reader:
             except (KeyError, ValueError):
                 self.dropped["points without a place"] += 1
                 return
-            if abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
+            if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
                 self.dropped["points off the earth"] += 1
                 return
             self.point = {"latitude_deg": place[0], "longitude_deg": place[1]}
@@ -125,7 +125,9 @@ class _Reader:
         if not self.is_gpx:
             raise InputError(f"{path}: no GPX; its root is called otherwise")
         if not self.points:
-            what = f"{self.read} track points without times" if self.read else "no track points"
+            why = ", ".join(f"{count} {kind}" for kind, count in self.dropped.items())
+            what = f"none of {self.read} track points can be used ({why})"
+            what = what if self.read else "no track points"
             routes = f" and {self.other} points of routes" if self.other else ""
             raise InputError(
                 f"{path}: {what}{routes}; export the track as it was recorded, with times"

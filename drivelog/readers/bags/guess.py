@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -219,15 +219,15 @@ def is_video(topic: Topic) -> bool:
     return topic.kind is None and bool(_VIDEO.search(topic.channel.type_name.lower()))
 
 
-def _why_not(topic: Topic, used: Iterable[str]) -> str:
+def _why_not(topic: Topic, used: Mapping[str, str]) -> str:
     name = _name(topic)
     if not topic.count:
         return "holds no message"
     if topic.undecodable == topic.count or (topic.reason and not topic.undecodable):
         return topic.reason[:100]
-    if topic.kind == "picture":
+    if topic.kind == "picture" and "left pictures" not in used.values():
         return "no pair: one of two cameras is told by left and right, 0 and 1, or by calibration"
-    if topic.kind == "camera":
+    if topic.kind == "camera" and "left pictures" not in used.values():
         return "its pictures are not used"
     if topic.kind == "poles":
         return "another topic of poles was recorded first"

@@ -185,11 +185,22 @@ def test_gpx_tracks(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (GPX.format('<trkpt lat="1" lon="2"/>'), "1 track points without times"),
+        (
+            GPX.format('<trkpt lat="1" lon="2"/>'),
+            "none of 1 track points can be used "
+            r"\(1 points without a time\)",
+        ),
+        (
+            GPX.format('<trkpt lat="nan" lon="2"><time>2024-01-01T00:00:00Z</time></trkpt>'),
+            "1 points off the earth",
+        ),
         (GPX.format(""), "no track points"),
         ("<kml/>", "its root is called otherwise"),
         (GPX.format("")[:80], "no GPX"),
-        ('<!DOCTYPE gpx [<!ENTITY a "b">]>' + GPX.format("")[22:], "entities is not read"),
+        (
+            '<!DOCTYPE gpx [<!ENTITY a "b">]>' + GPX.format("")[22:],
+            "a.gpx: GPX .* entities is not read",
+        ),
     ],
 )
 def test_gpx_that_cannot_be_used(text: str, message: str, tmp_path: Path) -> None:
