@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
+from polemap.evaluation.fix_offset import fix_offset
+from polemap.localize.config import GnssConfig
 from polemap.localize.replay import Run
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
@@ -28,7 +30,9 @@ FIXES_PARTLY_M, FIXES_NOT_M = 12.0, 30.0
 _HISTORY = "history"
 
 
-def judge(run: Run, drive: Drive, pole_map: PoleMap | None) -> dict[str, Any]:
+def judge(
+    run: Run, drive: Drive, pole_map: PoleMap | None, gnss: GnssConfig | None = None
+) -> dict[str, Any]:
     """The verdict of a run: its grounds as numbers, `trust` and one `sentence`.
 
     `trust` is `trustworthy`, `partly` or `not`. NaN stands for what the drive does not show.
@@ -48,7 +52,12 @@ def judge(run: Run, drive: Drive, pole_map: PoleMap | None) -> dict[str, Any]:
         "fixes_to_pose_m": _fixes(run, drive),
     }
     own = built_from(pole_map, drive) if pole_map is not None else False
-    trust, reasons = _weigh(grounds, with_map=pole_map is not None)
+    offset = fix_offset(run, drive, gnss or GnssConfig()) if pole_map is not None else None
+    grounds["fixes_offset_m"] = offset.distance_m if offset else float("nan")
+    grounds["fixes_offset_sd_m"] = offset.sd_m if offset else float("nan")
+    trust, reasons = _weigh(
+        grounds, with_map=pole_map is not None, aside=offset.finding if offset else ""
+    )
     if own:
         reasons = [*reasons, "the map was built from this drive: the figures flatter"]
     return {
@@ -107,7 +116,7 @@ def built_from(pole_map: PoleMap, drive: Drive) -> bool:
 _ENTRY = re.compile(r'"drive":("(?:[^"\\]|\\.)*"),"start_s":([-+.0-9eE]+)')
 
 
-def _weigh(grounds: dict[str, float], *, with_map: bool) -> tuple[str, list[str]]:
+def _weigh(grounds: dict[str, float], *, with_map: bool, aside: str = "") -> tuple[str, list[str]]:
     """What the grounds say, and the reasons that decide."""
     bad: list[str] = []
     doubtful: list[str] = []
@@ -127,6 +136,8 @@ def _weigh(grounds: dict[str, float], *, with_map: bool) -> tuple[str, list[str]
         doubtful.append("odometry and fixes alone know the lane nowhere")
     if np.isfinite(fixes) and fixes > FIXES_PARTLY_M:
         (bad if fixes > FIXES_NOT_M else doubtful).append(f"fixes {fixes:.0f} m from the pose")
+    if aside:
+        doubtful.append(aside)
     if grounds["position_sd_m"] > STATED_SD_M:
         doubtful.append(f"the stated deviation is {grounds['position_sd_m']:.2f} m")
     if bad:

@@ -59,7 +59,7 @@ class Replay:
                 progress=advance,
             )
         metrics = run_metrics(run, drive)
-        metrics["verdict"] = judge(run, drive, self.pole_map)
+        metrics["verdict"] = judge(run, drive, self.pole_map, self.settings.localize.gnss)
         spent = detected.total_s()
         metrics["timing_ms"] = {**timing_summary(spent), **metrics["timing_ms"]}
         metrics["machine"] = describe_machine()

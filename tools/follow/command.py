@@ -162,7 +162,7 @@ def _finish(
         _say("no position was known at any time: nothing to sum up")
         return
     metrics: dict[str, Any] = run_metrics(run, drive)
-    metrics["verdict"] = judge(run, drive, pole_map)
+    metrics["verdict"] = judge(run, drive, pole_map, asked.settings.localize.gnss)
     metrics["machine"] = describe_machine()
     if asked.out is not None:
         with atomic_folder(asked.out, "run") as folder:
