@@ -14,11 +14,15 @@ from polemap.evaluation.alignment import Alignment, align
 from polemap.evaluation.routes import Recording, Route, median_track, same_course, unused_name
 from polemap.evaluation.runs.io import RunSet
 from polemap.evaluation.verdict import built_from
-from polemap.map.io import read_map
+from polemap.map.city.city_map import along
+from polemap.map.city.io import open_map
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.csv_text import read_rows
 from polemap.parsing.errors import named
 from polemap.vehicle.trajectory import Trajectory
+
+# of a city the poles that pictures and bounds of a route need
+POLES_AROUND_M = 200.0
 
 
 def open_routes(
@@ -110,7 +114,10 @@ def _open_map(recording: Recording, notes: list[str]) -> PoleMap | None:
         notes.append(f"{main.name}: config.yaml names no map; no poles in the pictures")
         return None
     try:
-        return read_map(main.map, frame=recording.drive.frame if recording.drive else None)
+        frame = recording.drive.frame if recording.drive else None
+        return along(
+            open_map(main.map, frame), recording.guide.poses[:, :2], POLES_AROUND_M, ("history",)
+        )
     except (PolemapError, ValueError, OSError) as error:
         notes.append(f"{main.name}: its map cannot be read any more ({error})")
         return None

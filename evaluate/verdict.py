@@ -13,6 +13,7 @@ from polemap.drivelog.drive import Drive
 from polemap.evaluation.fix_offset import fix_offset
 from polemap.localize.config import GnssConfig
 from polemap.localize.replay import Run
+from polemap.map.city.city_map import CityMap, along
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import wrap_angle
 
@@ -28,10 +29,15 @@ STATED_SD_M = 0.5
 # cheap fixes are some metres off, in streets some ten
 FIXES_PARTLY_M, FIXES_NOT_M = 12.0, 30.0
 _HISTORY = "history"
+# of a city the poles around so many places of a run tell whether it was built from the drive
+_PLACES, _AROUND_M = 20, 50.0
 
 
 def judge(
-    run: Run, drive: Drive, pole_map: PoleMap | None, gnss: GnssConfig | None = None
+    run: Run,
+    drive: Drive,
+    pole_map: PoleMap | CityMap | None,
+    gnss: GnssConfig | None = None,
 ) -> dict[str, Any]:
     """The verdict of a run: its grounds as numbers, `trust` and one `sentence`.
 
@@ -51,7 +57,10 @@ def judge(
         "longest_without_poles_s": _without_poles(stamps, matched, drive),
         "fixes_to_pose_m": _fixes(run, drive),
     }
-    own = built_from(pole_map, drive) if pole_map is not None else False
+    own = False
+    if pole_map is not None:
+        places = run.kf.poses[:: max(1, len(run.kf) // _PLACES), :2]
+        own = built_from(along(pole_map, places, _AROUND_M, (_HISTORY,)), drive)
     offset = fix_offset(run, drive, gnss or GnssConfig()) if pole_map is not None else None
     grounds["fixes_offset_m"] = offset.distance_m if offset else float("nan")
     grounds["fixes_offset_sd_m"] = offset.sd_m if offset else float("nan")

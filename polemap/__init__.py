@@ -29,6 +29,10 @@ Live, sample by sample as they arrive:
         localizer.add_sample(sample)
         pose = localizer.pose_at(sample.arrival_s)
 
+The map of a whole city is opened in no time, and its poles are read around the car:
+
+    localizer = polemap.Localizer(polemap.open_map("city.parquet", friday.frame), friday)
+
 Every setting has a default; `Settings` overrides:
 
     settings = polemap.Settings(localize={"particles": 500})
@@ -50,6 +54,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time __getattr__ does
     from polemap.api.poles import Perception
     from polemap.drivelog.readers.registry import open_drive
     from polemap.errors import PolemapError
+    from polemap.map.city.io import open_map
     from polemap.map.io import read_map, write_map
     from polemap.settings import Settings
 
@@ -64,6 +69,7 @@ __all__ = [
     "build_map",
     "evaluate",
     "open_drive",
+    "open_map",
     "read_map",
     "replay",
     "write_map",
@@ -77,6 +83,7 @@ _HOMES = {
     "build_map": "polemap.api.maps",
     "evaluate": "polemap.api.accuracy",
     "open_drive": "polemap.drivelog.readers.registry",
+    "open_map": "polemap.map.city.io",
     "read_map": "polemap.map.io",
     "replay": "polemap.api.localization",
     "write_map": "polemap.map.io",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -21,7 +21,9 @@ from polemap.drivelog.readers.bags.files import is_log
 from polemap.drivelog.readers.bags.reader import survey
 from polemap.drivelog.readers.registry import open_drive
 from polemap.errors import PolemapError
-from polemap.map.io import MAP_ENDINGS, read_map
+from polemap.map.city.city_map import CityMap, statistics_of
+from polemap.map.city.io import open_map
+from polemap.map.io import MAP_ENDINGS
 from polemap.map.plausibility import check_map, check_map_of_drive
 from polemap.map.pole_map import PoleMap
 from polemap.tools.option_types import SeedOption, TopicsOption
@@ -69,7 +71,7 @@ def command(
         frame = (
             open_drive(frame_of, seed=seed, topics=topics).frame if frame_of is not None else None
         )
-        pole_map = read_map(path, frame, allow_empty=True)
+        pole_map = open_map(path, frame, allow_empty=True)
         lines = describe_map(pole_map, path) + describe_findings(check_map(pole_map))
     else:
         _describe_log(path, topics, write_mapping_to)
@@ -102,7 +104,7 @@ def _findings(path: Path, frame_of: Path | None, topics: Path | None, seed: int)
         if frame_of is not None:
             drive = open_drive(frame_of, seed=seed, topics=topics)
         if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
-            pole_map = read_map(path, drive.frame if drive else None, allow_empty=True)
+            pole_map = open_map(path, drive.frame if drive else None, allow_empty=True)
             found = check_map(pole_map)
             return found + check_map_of_drive(pole_map, drive) if drive else found
         return find(open_drive(path, seed=seed, topics=topics))
@@ -203,7 +205,7 @@ def _reference(drive: Drive) -> list[str]:
     return lines + _extent(drive, points)
 
 
-def _extent(where: Drive | PoleMap, points: Floats) -> list[str]:
+def _extent(where: Drive | PoleMap | CityMap, points: Floats) -> list[str]:
     low, high = points.min(axis=0), points.max(axis=0)
     lines = [
         f"extent     east {low[0]:.1f} to {high[0]:.1f} m, north {low[1]:.1f} to {high[1]:.1f} m"
@@ -219,30 +221,30 @@ def _extent(where: Drive | PoleMap, points: Floats) -> list[str]:
     return lines
 
 
-def describe_map(pole_map: PoleMap, path: Path) -> list[str]:
+def describe_map(pole_map: PoleMap | CityMap, path: Path) -> list[str]:
     """What a map holds, a line a fact."""
     lines = [f"map        {path}", f"frame      {pole_map.frame}", f"poles      {len(pole_map)}"]
-    if len(pole_map):
-        lines += _extent(pole_map, pole_map.points_m)
-        sd = np.sqrt(np.trace(pole_map.covariance_m2, axis1=1, axis2=2) / 2.0)
-        low, middle, high = np.percentile(sd, [5, 50, 95])
+    known = statistics_of(pole_map)
+    if known.extent_m:
+        lines += _extent(pole_map, np.array(known.extent_m).reshape(2, 2))
+        low, middle, high = known.position_sd_m
         lines.append(f"position   sd {low:.3f} / {middle:.3f} / {high:.3f} m an axis (5, 50, 95 %)")
-        for name, values in (("width", pole_map.width_m), ("height", pole_map.height_m)):
-            known = values[np.isfinite(values)]
-            if len(known):
-                low, middle, high = np.percentile(known, [5, 50, 95])
-                lines.append(
-                    f"{name:<10} {low:.2f} / {middle:.2f} / {high:.2f} m, {len(known)} poles"
-                )
+        for name, count, percentiles in (
+            ("width", known.widths, known.width_m), ("height", known.heights, known.height_m)
+        ):  # fmt: skip
+            if count:
+                low, middle, high = percentiles
+                lines.append(f"{name:<10} {low:.2f} / {middle:.2f} / {high:.2f} m, {count} poles")
+        least, most = known.existence
         lines.append(
-            f"evidence   {int(pole_map.observations.sum())} observations, at most "
-            f"{int(pole_map.drives.max())} drives a pole, existence {pole_map.existence.min():.2f} "
-            f"to {pole_map.existence.max():.2f}"
+            f"evidence   {known.observations} observations, at most {known.drives} drives a pole, "
+            f"existence {least:.2f} to {most:.2f}"
         )
-        if pole_map.tree is not None and len(pole_map) > 1:
-            nearest: Any = pole_map.tree.query(pole_map.points_m, k=2)[0]
-            lines.append(f"spacing    median {np.median(nearest[:, 1]):.1f} m to the next pole")
-    further = [name for name in pole_map.extra if name != COLUMN]
+        if known.neighbours:
+            lines.append(f"spacing    median {known.spacing_m:.1f} m to the next pole")
+    further = [name for name in known.further if name != COLUMN]
     if further:
         lines.append(f"columns    {', '.join(further)}")
+    if isinstance(pole_map, CityMap):
+        lines.append("opened     by tiles: its poles are read where they are needed")
     return lines + [f"note       {note}" for note in pole_map.notes]

@@ -14,7 +14,8 @@ from polemap.drivelog.errors import ConfigError
 from polemap.evaluation.verdict import verdict_lines
 from polemap.localize.config import for_car
 from polemap.localize.replay import check_inputs
-from polemap.map.io import read_map
+from polemap.map.city.city_map import CityMap
+from polemap.map.city.io import open_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
 from polemap.tools.drive_detection import DriveDetections, Source, detect_drive
@@ -104,7 +105,7 @@ def command(
     processes = workers or cpu_count() or 1
     source = Source(str(drive), lap, None if topics is None else str(topics), odometry)
     opened = source.open()
-    pole_map = read_map(map_file, frame=opened.frame) if map_file is not None else None
+    pole_map = open_map(map_file, frame=opened.frame) if map_file is not None else None
     require_plausible(opened.name, find(opened, pole_map), force=force)
     localize = for_car(settings.localize, opened.car)
     settings = settings.model_copy(update={"localize": localize})
@@ -132,7 +133,7 @@ def _refuse_live_options(given: dict[str, Any]) -> None:
 def _detect(
     source: Source,
     drive: Drive,
-    pole_map: PoleMap,
+    pole_map: PoleMap | CityMap,
     settings: Settings,
     processes: int,
     cache: Path | None,

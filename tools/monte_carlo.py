@@ -21,6 +21,7 @@ from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
 from polemap.evaluation.verdict import judge
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
+from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.json_text import read_json
 from polemap.settings import Settings
@@ -36,7 +37,7 @@ class Replay:
 
     source: Source
     map_file: Path | None
-    pole_map: PoleMap | None
+    pole_map: PoleMap | CityMap | None
     detected: DriveDetections
     settings: Settings
     frame: EarthFrame
@@ -75,7 +76,7 @@ class Replay:
         map_file = self.map_file
         return fingerprint(
             drive_fingerprint(drive),
-            None if map_file is None else hashlib.sha256(map_file.read_bytes()).hexdigest(),
+            None if map_file is None else _digest(map_file),
             {name: value for name, value in self._as_used(0).items() if name != "seed"},
         )
 
@@ -91,6 +92,11 @@ class Replay:
             "seed": seed,
             "settings": self.settings.model_dump(mode="json"),
         }
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

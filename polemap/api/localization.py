@@ -15,6 +15,7 @@ from polemap.localize import localizer as live
 from polemap.localize import replay as replays
 from polemap.localize.config import for_car
 from polemap.localize.pose_queue import PoseUpdate
+from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
 from polemap.perception import scan_drive
 from polemap.settings import Settings
@@ -27,7 +28,8 @@ class Localizer(live.Localizer):
     is needed, from another thread if you like.
 
     Args:
-        pole_map: None localizes by odometry and GNSS alone.
+        pole_map: of `read_map`, or of `open_map` where it is a city's; None localizes by odometry
+            and GNSS alone.
         car: names wheelbase, camera and antenna. A recording of the same car does, and so does a
             folder with nothing but a `drive.yaml`.
         settings: the defaults where not given.
@@ -40,7 +42,7 @@ class Localizer(live.Localizer):
 
     def __init__(
         self,
-        pole_map: PoleMap | None,
+        pole_map: PoleMap | CityMap | None,
         car: Drive,
         settings: Settings | None = None,
         *,
@@ -66,7 +68,7 @@ class Localizer(live.Localizer):
 
 def replay(
     drive: Drive,
-    pole_map: PoleMap | None,
+    pole_map: PoleMap | CityMap | None,
     settings: Settings | None = None,
     *,
     seed: int = 0,
@@ -77,7 +79,8 @@ def replay(
 
     Args:
         drive: with odometry, and images or poles of its own.
-        pole_map: in the drive's frame; None localizes by odometry and GNSS alone.
+        pole_map: in the drive's frame, of `read_map` or `open_map`; None localizes by odometry and
+            GNSS alone.
         settings: the defaults where not given.
         seed: of the particle filter; the same seed gives the same poses, bit for bit.
         progress: called with the number of frames looked at since the last call.

@@ -7,6 +7,7 @@ import warnings
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding, Severity
+from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
 from polemap.tools.findings import require_plausible
 from polemap.tools.plausible import find
@@ -14,11 +15,11 @@ from polemap.tools.plausible import find
 _LOG = logging.getLogger("polemap")
 
 # the last inputs that were looked at: a replay with a hundred seeds looks once
-_Checked = tuple[Drive, PoleMap | None, list[Finding]]
+_Checked = tuple[Drive, PoleMap | CityMap | None, list[Finding]]
 _last: list[_Checked] = []
 
 
-def check(drive: Drive, pole_map: PoleMap | None = None, *, force: bool) -> None:
+def check(drive: Drive, pole_map: PoleMap | CityMap | None = None, *, force: bool) -> None:
     """Refuse what makes a result worthless, warn of what makes it doubtful.
 
     Raises:

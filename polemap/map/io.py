@@ -142,14 +142,14 @@ def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
 
 def _write_parquet(pole_map: PoleMap, path: Path) -> None:
     parquet = need("pyarrow.parquet")
-    from polemap.map.formats import geoparquet  # needs pyarrow, too
+    from polemap.map.formats import geoparquet, geoparquet_points  # need pyarrow, too
 
     if len(pole_map) >= CITY_POLES:
         write_tiles(pole_map, path)
         return
     table = geoparquet.to_table(pole_map)
     # dictionaries of numbers that are all different only cost time, as does a strong compression
-    texts = geoparquet.text_columns(table)
+    texts = geoparquet_points.text_columns(table)
     parquet.write_table(table, path, compression="snappy", use_dictionary=texts)
 
 

@@ -8,68 +8,66 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid, grid_from_geographic
+from polemap.map.city.city_map import CityMap, statistics_of
+from polemap.map.city.statistics import DOUBLED_M, WIDTH_MAX_M, MapStatistics
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 
-# the trunk of an old tree is two metres wide; a mast or a pier hardly more
-_WIDTH_MAX_M = 3.0
 _FAR_M = 300.0
-_DOUBLED_M = 0.1
+_BEYOND_M = 301.0
+# places of a drive that are held against a city, of which every one reads its surroundings
+_PLACES_IN_CITY = 40
 
 
-def check_map(pole_map: PoleMap) -> list[Finding]:
+def check_map(pole_map: PoleMap | CityMap) -> list[Finding]:
     """Widths that no pole has, and poles that stand in the same place."""
+    return check_statistics(statistics_of(pole_map))
+
+
+def check_statistics(known: MapStatistics) -> list[Finding]:
+    """The same of a map whose figures are known."""
     found = []
-    widths = pole_map.width_m[np.isfinite(pole_map.width_m)]
-    wide = int(np.count_nonzero(widths > _WIDTH_MAX_M))
-    negative = int(np.count_nonzero(widths < 0.0))
-    if wide:
-        largest = float(widths.max())
+    if known.wide:
         found.append(
             Finding(
-                "map_width", "error" if wide > 0.5 * len(widths) else "warning", "map",
-                f"{wide} of {len(widths)} poles are over {_WIDTH_MAX_M:g} m wide, up to "
-                f"{largest:.4g} m", f"0 to {_WIDTH_MAX_M:g} m",
+                "map_width", "error" if known.wide > 0.5 * known.widths else "warning", "map",
+                f"{known.wide} of {known.widths} poles are over {WIDTH_MAX_M:g} m wide, up to "
+                f"{known.width_max_m:.4g} m", f"0 to {WIDTH_MAX_M:g} m",
                 "write width_m in metres, or leave it empty where it is not known",
             )
         )  # fmt: skip
-    if negative > 0.1 * len(widths):
+    if known.negative > 0.1 * known.widths:
         found.append(
             Finding(
-                "map_width", "error" if negative > 0.5 * len(widths) else "warning", "map",
-                f"{negative} of {len(widths)} widths are negative", "0 or more",
+                "map_width", "error" if known.negative > 0.5 * known.widths else "warning", "map",
+                f"{known.negative} of {known.widths} widths are negative", "0 or more",
                 "leave width_m empty where it is not known",
             )
         )  # fmt: skip
-    tree = pole_map.tree
-    if tree is not None and len(pole_map) > 3:
-        nearest = np.asarray(tree.query(pole_map.points_m, k=2)[0])[:, 1]
-        doubled = int(np.count_nonzero(nearest < _DOUBLED_M))
-        if doubled > 0.2 * len(pole_map):
-            found.append(
-                Finding(
-                    "map_doubled", "warning", "map",
-                    f"{doubled} of {len(pole_map)} poles have another within {_DOUBLED_M:g} m",
-                    "one row a pole", "remove the rows that stand twice",
-                )
-            )  # fmt: skip
+    if known.poles > 3 and known.doubled > 0.2 * known.neighbours:
+        found.append(
+            Finding(
+                "map_doubled", "warning", "map",
+                f"{known.doubled} of {known.neighbours} poles have another within {DOUBLED_M:g} m",
+                "one row a pole", "remove the rows that stand twice",
+            )
+        )  # fmt: skip
     return found
 
 
-def check_map_of_drive(pole_map: PoleMap, drive: Drive) -> list[Finding]:
+def check_map_of_drive(pole_map: PoleMap | CityMap, drive: Drive) -> list[Finding]:
     """Whether the drive comes near the map at all, by its fixes or its reference."""
-    tree = pole_map.tree
-    if tree is None or not len(pole_map) or pole_map.frame != drive.frame:
+    if not len(pole_map) or pole_map.frame != drive.frame:
         return []
+    most = _PLACES_IN_CITY if isinstance(pole_map, CityMap) else 200
     for name, places in _places(drive):
         places = places[np.isfinite(places).all(axis=1)]
         if not len(places):
             continue
         # a few dozen places show it; single fixes may be anywhere
-        thinned = places[:: max(1, len(places) // 200)]
-        distance = np.asarray(tree.query(thinned)[0])
-        near = float(np.percentile(distance, 20))
+        thinned = places[:: max(1, len(places) // most)]
+        near = float(np.percentile(_to_poles_m(pole_map, thinned), 20))
         if near > _FAR_M:
             zone = _zone_of(pole_map, thinned)
             return [
@@ -86,7 +84,18 @@ def check_map_of_drive(pole_map: PoleMap, drive: Drive) -> list[Finding]:
     return []
 
 
-def _zone_of(pole_map: PoleMap, places: Floats) -> int | None:
+def _to_poles_m(pole_map: PoleMap | CityMap, places: Floats) -> Floats:
+    """Distance `(n,)` to the nearest pole; in a city beyond `_FAR_M` at least the one there is to
+    all its poles."""
+    if not isinstance(pole_map, CityMap):
+        return pole_map.nearest(places)[0]
+    nearest = pole_map.nearest_m(places, _FAR_M)
+    extent = np.array(pole_map.statistics.extent_m)
+    outside = np.hypot(*np.maximum(0.0, np.maximum(extent[:2] - places, places - extent[2:])).T)
+    return np.where(np.isfinite(nearest), nearest, np.maximum(outside, _BEYOND_M))
+
+
+def _zone_of(pole_map: PoleMap | CityMap, places: Floats) -> int | None:
     """The UTM zone in whose coordinates the places lie in the map, None if none does."""
     own = pole_map.frame.epsg
     if own is None or own // 100 not in (326, 327):
@@ -96,9 +105,9 @@ def _zone_of(pole_map: PoleMap, places: Floats) -> int | None:
             continue
         geographic = geographic_from_grid(EarthFrame("utm", zone), places)
         moved = grid_from_geographic(pole_map.frame, geographic[:, 0], geographic[:, 1])
-        if pole_map.tree is None or not np.isfinite(moved).all():
+        if not np.isfinite(moved).all():
             continue
-        if np.percentile(np.asarray(pole_map.tree.query(moved)[0]), 20) < _FAR_M:
+        if np.percentile(_to_poles_m(pole_map, moved), 20) < _FAR_M:
             return zone
     return None
 

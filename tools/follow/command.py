@@ -23,7 +23,8 @@ from polemap.evaluation.run_metrics import run_metrics
 from polemap.evaluation.verdict import judge, verdict_lines
 from polemap.localize.io import write_run
 from polemap.localize.replay import Run
-from polemap.map.io import read_map
+from polemap.map.city.city_map import CityMap
+from polemap.map.city.io import open_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
 from polemap.tools import interrupts
@@ -91,17 +92,21 @@ def follow(asked: Asked) -> int:
         return code or 0
 
 
-def _map(path: Path | None, car: Drive) -> PoleMap | None:
+def _map(path: Path | None, car: Drive) -> PoleMap | CityMap | None:
     if path is None:
         return None
-    pole_map = read_map(path, frame=car.frame)
+    pole_map = open_map(path, frame=car.frame)
     if not len(pole_map):
         raise InputError(f"{path}: holds no poles; build it from a drive that saw some")
     return pole_map
 
 
 def _sender(
-    asked: Asked, followed: Followed, pole_map: PoleMap | None, stack: ExitStack, stop: Event
+    asked: Asked,
+    followed: Followed,
+    pole_map: PoleMap | CityMap | None,
+    stack: ExitStack,
+    stop: Event,
 ) -> Callable[[Tick], None]:
     frame = followed.car.frame
     if asked.serve is None:
@@ -154,7 +159,7 @@ class _Watch:
 
 
 def _finish(
-    asked: Asked, run: Run, drive: Drive, pole_map: PoleMap | None, followed: Followed
+    asked: Asked, run: Run, drive: Drive, pole_map: PoleMap | CityMap | None, followed: Followed
 ) -> None:
     """The summary of `polemap localize`, on stderr, and the run folder where it was asked for."""
     if not len(run.kf):

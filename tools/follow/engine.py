@@ -26,6 +26,7 @@ from polemap.localize.output_filter.limiter import OutputPose
 from polemap.localize.output_trace import OutputTrace, particle_trajectory
 from polemap.localize.pose_queue import PoseUpdate
 from polemap.localize.replay import Run
+from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
 from polemap.perception import PolePerception
 from polemap.settings import Settings
@@ -59,7 +60,7 @@ class Engine:
     """
 
     def __init__(
-        self, followed: Followed, pole_map: PoleMap | None, settings: Settings, seed: int
+        self, followed: Followed, pole_map: PoleMap | CityMap | None, settings: Settings, seed: int
     ) -> None:
         """Prepare; nothing is read before `run`."""
         car = followed.car

@@ -25,6 +25,7 @@ from polemap.drivelog.writers.ros import messages as ros
 from polemap.drivelog.writers.ros.mcap_file import nanoseconds
 from polemap.drivelog.writers.ros.types import message_types, type_of
 from polemap.extras import need
+from polemap.map.city.city_map import CityMap, along
 from polemap.map.pole_map import PoleMap
 from polemap.tools.follow.engine import Tick
 from polemap.tools.follow.lines import tick_values
@@ -42,6 +43,8 @@ _WAITING = 200
 _LARGEST_REQUEST = 1 << 20
 # channels that keep their last message for viewers that come later
 _LATCHED = ("/map/poles", "/car")
+# of a city the poles around are shown, anew after half of the way
+_AROUND_M = 400.0
 
 
 @dataclass(slots=True, eq=False)
@@ -61,7 +64,9 @@ class FoxgloveServer:
         counts: viewers that came, messages dropped because one read too slowly.
     """
 
-    def __init__(self, address: tuple[str, int], frame: EarthFrame, pole_map: PoleMap | None):
+    def __init__(
+        self, address: tuple[str, int], frame: EarthFrame, pole_map: PoleMap | CityMap | None
+    ):
         """Listen at `address`.
 
         Raises:
@@ -70,6 +75,7 @@ class FoxgloveServer:
         """
         self._frame, self._pole_map = frame, pole_map
         self._origin: Floats | None = None
+        self._shown_at_m = np.zeros(2)
         self._channels: dict[str, dict[str, Any]] = {}
         self._latched: dict[int, tuple[int, bytes]] = {}
         self._viewers: set[_Viewer] = set()
@@ -106,6 +112,9 @@ class FoxgloveServer:
             self._place(np.array(answer.pose[:2]), stamp, now_ns)
         if not self._viewers or self._origin is None:
             return
+        moved_m = float(np.hypot(*(np.array(answer.pose[:2]) - self._shown_at_m)))
+        if isinstance(self._pole_map, CityMap) and moved_m > _AROUND_M / 2:
+            self._show_poles(np.array(answer.pose[:2]), stamp, now_ns)
         pose = np.array(answer.pose)
         pose[:2] -= self._origin
         turn = pose_rotation(float(pose[2]))
@@ -159,8 +168,15 @@ class FoxgloveServer:
         self._origin = origin if self._frame.is_utm else np.zeros(2)
         self._publish("/car", now_ns, car_message(stamp_s))
         if self._pole_map is not None:
-            poles = poles_of(self._pole_map, self._origin)
-            self._publish("/map/poles", now_ns, poles_message(poles, self._frame, stamp_s))
+            self._show_poles(first_m, stamp_s, now_ns)
+
+    def _show_poles(self, place_m: Floats, stamp_s: float, now_ns: int) -> None:
+        """The map, or of a city what lies around."""
+        if self._pole_map is None or self._origin is None:
+            return
+        self._shown_at_m = place_m
+        poles = poles_of(along(self._pole_map, place_m, _AROUND_M), self._origin)
+        self._publish("/map/poles", now_ns, poles_message(poles, self._frame, stamp_s))
 
     def _publish(self, topic: str, now_ns: int, message: Any) -> None:
         channel = self._channels[topic]

@@ -16,12 +16,16 @@ from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.readers.registry import open_drive
 from polemap.evaluation.runs.io import Run, RunSet, read_run_set
-from polemap.map.io import read_map
+from polemap.map.city.city_map import along
+from polemap.map.city.io import open_map
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats | Sequence[str]]
+
+# of a city the poles that a picture of the way shows
+_POLES_AROUND_M = 200.0
 
 # columns of output.csv and health.csv that go with each pose
 _OF_OUTPUT = (
@@ -85,7 +89,7 @@ def open_run(
         opened = open_drive(drive, topics=topics)
         opened = opened if runs.lap is None else opened.lap(runs.lap)
     frame = opened.frame if opened is not None else _frame_of(runs)
-    pole_map, notes = _map_of(runs, map_file, frame)
+    pole_map, notes = _map_of(runs, map_file, frame, runs.runs[number].kf.poses[:, :2])
     frame = frame or (pole_map.frame if pole_map is not None else None)
     if frame is None:
         raise InputError(
@@ -116,14 +120,14 @@ def _frame_of(runs: RunSet) -> EarthFrame | None:
 
 
 def _map_of(
-    runs: RunSet, map_file: Path | None, frame: EarthFrame | None
+    runs: RunSet, map_file: Path | None, frame: EarthFrame | None, path_m: Floats
 ) -> tuple[PoleMap | None, tuple[str, ...]]:
     place = map_file or runs.map
     if place is None:
         return None, ()
     if map_file is None and not os.path.exists(place):
         return None, (f"the run's map {place} is gone: no poles are shown; --map MAP gives it",)
-    return read_map(place, frame), ()
+    return along(open_map(place, frame), path_m, _POLES_AROUND_M), ()
 
 
 def _aligned(

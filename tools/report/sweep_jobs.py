@@ -17,7 +17,8 @@ from polemap.drivelog.errors import InputError
 from polemap.evaluation.run_metrics import run_metrics
 from polemap.evaluation.runs.io import Run
 from polemap.localize.replay import replay
-from polemap.map.io import read_map
+from polemap.map.city.city_map import CityMap
+from polemap.map.city.io import open_map
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import ParsingError, named
@@ -109,8 +110,8 @@ def thinned(run: Run) -> Run:
 
 
 @lru_cache(maxsize=2)
-def _map(path: str, source: Source) -> PoleMap:
-    return read_map(Path(path), frame=source.open().frame)
+def _map(path: str, source: Source) -> PoleMap | CityMap:
+    return open_map(Path(path), frame=source.open().frame)
 
 
 @lru_cache(maxsize=2)

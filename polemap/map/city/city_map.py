@@ -211,14 +211,33 @@ class CityMap:
         return square.rows(np.hypot(offset[:, 0], offset[:, 1]) <= radius_m)
 
     def nearest_m(self, points_m: ArrayLike, limit_m: float) -> Floats:
-        """Distance `(n,)` to the nearest pole, infinite where none is within the limit.
+        """Distance `(n,)` to the nearest pole that can be read, infinite beyond the limit."""
+        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 2)
+        found = np.array([np.inf] * len(points))
+        for row, point in enumerate(points):
+            offset = self.area(box_around(point, limit_m)).poles.points_m - point
+            nearest = np.hypot(*offset.T).min(initial=np.inf)
+            found[row] = nearest if nearest <= limit_m else np.inf
+        return found
+
+    def poles_along(
+        self, path_m: ArrayLike, radius_m: float, columns: Sequence[str] = ()
+    ) -> PoleMap:
+        """The poles around a path `(n, 2)`: all within `radius_m` of its points, and some beyond.
+
+        Args:
+            columns: further ones to read.
 
         Raises:
             InputError: a tile is damaged.
         """
-        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 2)
-        found = (self.poles_within(point, limit_m).points_m - point for point in points)
-        return np.array([np.hypot(*offset.T).min(initial=np.inf) for offset in found])
+        path = np.asarray(path_m, dtype=np.float64).reshape(-1, 2)
+        cells = np.unique(np.floor(path / radius_m), axis=0) * radius_m
+        boxes = np.hstack([cells - radius_m, cells + 2.0 * radius_m])
+        tiles = [
+            self._read(key, columns) if columns else self._tile(key) for key in self._keys(boxes)
+        ]
+        return self._joined(tiles, boxes)
 
     def tiles(self, columns: Sequence[str] = ()) -> Iterator[Tile]:
         """All poles, a tile after the other; none of them is kept in memory.
@@ -279,6 +298,20 @@ class CityMap:
         if not parts:
             return PoleMap.empty(self.frame)
         return join_all(parts).rows(np.argsort(np.concatenate(rows), kind="stable"))
+
+
+def statistics_of(pole_map: PoleMap | CityMap) -> MapStatistics:
+    """Figures over all poles: as stored with a city, or counted."""
+    return pole_map.statistics if isinstance(pole_map, CityMap) else MapStatistics.of(pole_map)
+
+
+def along(
+    pole_map: PoleMap | CityMap, path_m: ArrayLike, radius_m: float, columns: Sequence[str] = ()
+) -> PoleMap:
+    """A map in memory as it is; of a city what `CityMap.poles_along` gives."""
+    if isinstance(pole_map, CityMap):
+        return pole_map.poles_along(path_m, radius_m, columns)
+    return pole_map
 
 
 def join_all(parts: Sequence[PoleMap]) -> PoleMap:

@@ -12,7 +12,6 @@ from polemap.map.city.city_map import CityMap, TileStore
 from polemap.map.city.geopackage.io import GeoPackageTiles
 from polemap.map.city.parquet.io import ParquetTiles
 from polemap.map.city.stored import CITY_POLES
-from polemap.map.io import read_map
 from polemap.map.pole_map import PoleMap
 
 
@@ -35,6 +34,9 @@ def open_map(
     city = open_city(path, frame)
     if city is not None:
         return city
+    # its libraries take a second and a hundred megabytes, which a city by tiles does not need
+    from polemap.map.io import read_map
+
     pole_map = read_map(path, frame, allow_empty=allow_empty)
     if len(pole_map) < CITY_POLES:
         return pole_map

@@ -30,7 +30,7 @@ GEOMETRY = "geometry"
 def write_tiles(pole_map: PoleMap, path: Path, tile_poles: int = TILE_POLES) -> None:
     """Write a map with a row group a tile; rows of a tile are neighbours."""
     parquet = need("pyarrow.parquet")
-    from polemap.map.formats import geoparquet  # needs pyarrow, too
+    from polemap.map.formats import geoparquet, geoparquet_points  # need pyarrow, too
 
     packed = pole_map.rows(packed_order(pole_map.points_m, tile_poles))
     table = geoparquet.to_table(packed)
@@ -44,7 +44,7 @@ def write_tiles(pole_map: PoleMap, path: Path, tile_poles: int = TILE_POLES) -> 
     # the checksums find a tile that a disk has damaged; nobody asks for statistics of columns
     parquet.write_table(
         table.replace_schema_metadata(metadata), path, compression="snappy",
-        use_dictionary=geoparquet.text_columns(table), row_group_size=tile_poles,
+        use_dictionary=geoparquet_points.text_columns(table), row_group_size=tile_poles,
         write_page_checksum=True, write_statistics=False,
     )  # fmt: skip
 
@@ -74,7 +74,7 @@ class ParquetTiles:
             InputError: a Parquet file that cannot be read.
         """
         pa, parquet = need("pyarrow"), need("pyarrow.parquet")
-        from polemap.map.formats import geoparquet  # needs pyarrow, too
+        from polemap.map.formats import geoparquet_points  # needs pyarrow, too
 
         try:
             file = parquet.ParquetFile(path, page_checksum_verification=True)
@@ -96,7 +96,7 @@ class ParquetTiles:
             len(boxes) != groups
             or rows[:-1] != most
             or sum(rows) != city.statistics.poles
-            or not geoparquet.is_plain(file.schema_arrow, city.frame)
+            or not geoparquet_points.is_plain(file.schema_arrow, city.frame)
         ):
             return None
         return cls(path, city, file, boxes)
@@ -125,7 +125,7 @@ class ParquetTiles:
             InputError: damaged, or another file than was opened.
         """
         pa = need("pyarrow")
-        from polemap.map.formats import geoparquet  # needs pyarrow, too
+        from polemap.map.formats import geoparquet_points  # needs pyarrow, too
 
         group = key[0]
         names = [
@@ -136,7 +136,7 @@ class ParquetTiles:
                 if self._now() != self._state:
                     raise InputError("the file has changed since it was opened")
                 table = self._file.read_row_group(group, columns=names, use_threads=False)
-            poles = geoparquet.plain_map(table, GEOMETRY, self.frame)
+            poles = geoparquet_points.plain_map(table, GEOMETRY, self.frame)
             if poles is None:
                 raise InputError("its geometries are no points in the plane")
             low, high = self._boxes[group, :2], self._boxes[group, 2:]
