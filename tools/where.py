@@ -49,7 +49,7 @@ def command(
     ] = None,
     wrong_most: Annotated[
         float,
-        typer.Option("--wrong-most", min=1e-9, max=0.5, help="Probability of a wrong claim."),
+        typer.Option("--wrong-most", min=1e-9, max=0.1, help="Probability of a wrong claim."),
     ] = WRONG_MOST,
     lap: Annotated[str | None, typer.Option("--lap", help="A row of laps.csv.")] = None,
     workers: Annotated[

@@ -71,13 +71,20 @@ class Judged:
         )  # fmt: skip
 
 
-def judge(index: PatternIndex, local: LocalMap, poses: Floats) -> Judged:
-    """Fit poses `(m, 3)` to the poles of a local map and weigh them by the poles that are seen."""
+def judge(index: PatternIndex, local: LocalMap, poses: Floats, most: int = 60) -> Judged:
+    """Fit poses `(m, 3)` to the poles of a local map and weigh them by the poles that are seen.
+
+    Args:
+        most: only so many, the best after a first fit, are weighed.
+    """
     drift = np.zeros((len(poses), 3))
-    hessian = np.zeros((len(poses), 6, 6))
+    hessian = np.empty((len(poses), 6, 6))
     for gate in _GATES_M:
-        step, hessian = _normal_step(index, local, poses, drift, gate)
+        step, hessian, support = _normal_step(index, local, poses, drift, gate)
         poses, drift = poses + step[:, :3], drift + step[:, 3:]
+        if len(poses) > most:
+            best = np.sort(np.argsort(-support, kind="stable")[:most])
+            poses, drift, hessian = poses[best], drift[best], hessian[best]
     world, _, spread = _placed(index, local, poses, drift)
     _, row = index.nearest(world, _JUDGED_M)
     near = row >= 0
@@ -120,7 +127,8 @@ def _placed(
     slope[..., 0, 2], slope[..., 1, 2] = -turned[..., 1], turned[..., 0]
     for column in range(3):
         slope[..., 3 + column] = rotate(local.drift[..., column], poses[:, np.newaxis, 2])
-    spread = rotate_covariance(local.covariance_m2, np.broadcast_to(poses[:, 2:], turned.shape[:2]))
+    own = local.covariance_m2 + local.wander_m2[:, np.newaxis, np.newaxis] * np.eye(2)
+    spread = rotate_covariance(own, np.broadcast_to(poses[:, 2:], turned.shape[:2]))
     return poses[:, np.newaxis, :2] + turned, slope, spread
 
 
@@ -139,22 +147,25 @@ def _squared(spread: Floats, rest: Floats) -> tuple[Floats, Floats]:
 
 def _normal_step(
     index: PatternIndex, local: LocalMap, poses: Floats, drift: Floats, gate_m: float
-) -> tuple[Floats, Floats]:
-    """Change `(m, 6)` of poses and errors of the odometry, and the normal matrix `(m, 6, 6)`."""
+) -> tuple[Floats, Floats, Floats]:
+    """Change `(m, 6)` of poses and errors of the odometry, the normal matrix `(m, 6, 6)`, and how
+    many poles `(m,)` are near one of the map, the farther the less."""
     world, slope, spread = _placed(index, local, poses, drift)
     _, row = index.nearest(world, gate_m)
     near = row >= 0
     rest = np.where(near[..., None], index.points_m[row] - world, 0.0)
     spread = spread + _map_variance(index, row)
     squared, _ = _squared(spread, rest)
-    weight = np.linalg.inv(spread) * (near / (1.0 + squared / 9.0))[..., None, None]
+    share = near / (1.0 + squared / 9.0)
+    weight = np.linalg.inv(spread) * share[..., None, None]
     weighted = weight @ slope
     hessian = np.einsum("mnia,mnib->mab", slope, weighted)
     hessian[:, 3:, 3:] += np.linalg.inv(local.drift_covariance)
     hessian[:, range(3), range(3)] += (1e-2, 1e-2, 1.0)  # a pose without poles stays
     pull = np.einsum("mnia,mni->ma", weighted, rest)
     pull[:, 3:] -= drift @ np.linalg.inv(local.drift_covariance)
-    return np.linalg.solve(hessian, pull[..., np.newaxis])[..., 0], hessian
+    step = np.linalg.solve(hessian, pull[..., np.newaxis])[..., 0]
+    return step, hessian, share.sum(axis=1)
 
 
 def _one_to_one(ratio: Floats, row: Whole) -> tuple[Floats, Whole]:

@@ -10,7 +10,7 @@ more place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ _ELSEWHERE = 0.1  # prior of not being in the map, or of a place that was not pr
 _SAME_M, _SAME_RAD = 3.0, 0.15
 # what is taken for independent is not: differences of log evidence count by this factor
 _TEMPER = 0.5
+# what is as doubtful without chance is not claimed whatever chance explains
+_CHANCE_ASKED = 0.1
 WRONG_MOST = 1e-3
 """Probability of a wrong claim that is accepted."""
 
@@ -47,7 +49,8 @@ class Search:
         matched: `(k,)` poles that each explains.
         rows: `(k, n)` map pole of each seen pole, -1 for none.
         local: the seen poles.
-        by_chance: the log evidence of the best of the mirror image.
+        by_chance: the log evidence of the best of the mirror image; minus infinity where the place
+            is too doubtful to ask for it.
     """
 
     poses: Floats
@@ -79,8 +82,8 @@ class PlaceFinder:
     def __init__(self, index: PatternIndex) -> None:
         self._index = index
         self._builder = LocalMapBuilder()
-        self._carried = {False: np.empty((0, 3)), True: np.empty((0, 3))}
-        self._carried_from = np.zeros(3)
+        nothing = np.empty((0, 3)), np.zeros(3)
+        self._carried = {False: nothing, True: nothing}
         self._odometry_pose = np.zeros(3)
 
     def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> bool:
@@ -96,18 +99,25 @@ class PlaceFinder:
         if local is None or len(local.confirmed()) < _FEWEST_POLES or not len(self._index):
             return None
         local = local.confirmed()
-        moved = relative(self._carried_from, self._odometry_pose)
-        self._carried_from = self._odometry_pose.copy()
-        found, evidence = self._ranked(local, False, moved)
-        _, chance = self._ranked(local.mirrored(), True, moved * np.array([1.0, -1.0, -1.0]))
-        return Search(
-            found.poses, evidence, found.covariance, found.matched, found.rows, local,
-            float(chance[0]) if len(chance) else -np.inf,
-        )  # fmt: skip
+        here = self._odometry_pose
+        found, evidence = self._ranked(local, False, here)
+        search = Search(
+            found.poses, evidence, found.covariance, found.matched, found.rows, local, -np.inf
+        )
+        if search.wrong > _CHANCE_ASKED:
+            return search
+        mirrored_here = here * np.array([1.0, -1.0, -1.0])
+        _, chance = self._ranked(local.mirrored(), True, mirrored_here)
+        return replace(search, by_chance=float(chance.max(initial=-np.inf)))
 
-    def _ranked(self, local: LocalMap, mirror: bool, moved: Floats) -> tuple[Judged, Floats]:
-        """Distinct poses and their log evidence, best first; they are carried on."""
-        carried = self._carried[mirror]
+    def _ranked(self, local: LocalMap, mirror: bool, here: Floats) -> tuple[Judged, Floats]:
+        """Distinct poses and their log evidence, best first; they are carried on.
+
+        Args:
+            here: the dead-reckoned pose of the local map, mirrored if it is.
+        """
+        carried, there = self._carried[mirror]
+        moved = relative(there, here)
         poses = np.concatenate(
             [compose(carried, np.broadcast_to(moved, carried.shape)),
              propose(self._index, local, _PROPOSED).poses]
@@ -117,7 +127,7 @@ class PlaceFinder:
         order = np.argsort(-evidence, kind="stable")
         chosen = distinct(judged.poses, order, _CARRIED)
         judged, evidence = judged.take(chosen), evidence[chosen]
-        self._carried[mirror] = judged.poses
+        self._carried[mirror] = judged.poses, here.copy()
         best = np.arange(min(_WEIGHED, len(judged)))
         judged, evidence = judged.take(best), evidence[best]
         evidence = evidence + misses(self._index, local, judged)

@@ -34,7 +34,8 @@ _FLOOR_M = 0.05  # of every sighting: what detectors do not state, trunks that a
 _CORRELATED = 0.5  # share of a sighting's variance that stays with its pole
 _SAME_GATE = 9.0  # squared Mahalanobis distance of sightings of one pole
 _SAME_M = 1.5
-_WANDER = 0.002  # of the course, sd in radians: slip, and what no constant tells of the odometry
+WANDER = 0.002
+"""Error of the course that does not last, sd in radians: slip, and what no constant tells."""
 DRIFT_SD = np.array([0.03, 0.001, 0.003])
 """Scale, curvature (rad/m), yaw rate (rad/s): what an odometry may lastingly be wrong by."""
 
@@ -45,7 +46,8 @@ class LocalMap:
 
     Attributes:
         points_m: `(n, 2)`.
-        covariance_m2: `(n, 2, 2)` without the lasting errors of the odometry.
+        covariance_m2: `(n, 2, 2)` without any errors of the odometry.
+        wander_m2: `(n,)` variance by what does not last of these; neighbours share it.
         drift: `(n, 2, 3)` how poles move with these errors.
         drift_covariance: `(3, 3)` of them.
         sightings: `(n,)` scans that saw the pole.
@@ -56,6 +58,7 @@ class LocalMap:
 
     points_m: Floats
     covariance_m2: Floats
+    wander_m2: Floats
     drift: Floats
     drift_covariance: Floats
     sightings: Whole
@@ -78,6 +81,7 @@ class LocalMap:
             self,
             points_m=self.points_m[rows],
             covariance_m2=self.covariance_m2[rows],
+            wander_m2=self.wander_m2[rows],
             drift=self.drift[rows],
             sightings=self.sightings[rows],
             width_m=self.width_m[rows],
@@ -208,9 +212,13 @@ def _joined(looks: list[_Look], drift: Floats) -> tuple[LocalMap, Floats]:
     numbers, pole, count = np.unique(
         np.concatenate([one.pole for one in looks]), return_inverse=True, return_counts=True
     )
-    # of n sightings whose errors stay alike by a share, so many are as good as independent ones
-    weight = np.linalg.inv(covariance) / (1.0 + _CORRELATED * (count - 1.0))[pole, None, None]
+    weight = np.linalg.inv(covariance)
     sums = _Sums(pole, len(numbers))
+    # a share of the errors of a pole's sightings stays alike: of the mean it leaves what its
+    # weighted mean is, and the sharp sightings near the pole have the weight
+    sharpness = np.sqrt(0.5 * np.trace(weight, axis1=1, axis2=2))
+    alike = sums.of(sharpness) ** 2 / sums.of(sharpness**2)
+    weight = weight / (1.0 + _CORRELATED * (alike - 1.0))[pole, None, None]
     information = sums.of(weight)
     vector = sums.of(np.einsum("sij,sj->si", weight, point))
     cross = sums.of(weight @ slope)
@@ -226,9 +234,8 @@ def _joined(looks: list[_Look], drift: Floats) -> tuple[LocalMap, Floats]:
     drift_covariance = np.linalg.inv(own + prior)
     change = -drift_covariance @ (pull + prior @ drift)
     place = place + moved @ change
-    centre = np.average(place, axis=0)
-    wander = _WANDER * np.hypot(*(place - centre).T)
-    spread = spread + (wander**2)[:, None, None] * np.eye(2)
+    away = place - place.mean(axis=0)
+    wander: Floats = np.asarray(WANDER**2 * np.einsum("ni,ni->n", away, away))
     width = np.concatenate([one.width_m for one in looks])
     known = np.isfinite(width)
     seen = np.bincount(pole[known], minlength=len(numbers))
@@ -236,7 +243,7 @@ def _joined(looks: list[_Look], drift: Floats) -> tuple[LocalMap, Floats]:
     with np.errstate(invalid="ignore"):
         mean_width = np.where(seen > 0, total / np.maximum(seen, 1), np.nan)
     made = LocalMap(
-        place, spread, moved, drift_covariance, count, mean_width, poses,
+        place, spread, wander, moved, drift_covariance, count, mean_width, poses,
         _ground_seen(looks, poses),
     )  # fmt: skip
     return made, drift + change

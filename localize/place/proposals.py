@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.localize.place.local_map import LocalMap
-from polemap.map.pattern_index.index import PatternIndex
+from polemap.localize.place.local_map import WANDER, LocalMap
+from polemap.map.pattern_index.index import DIRECTIONS, PatternIndex
 from polemap.map.pattern_index.triples import (
     QUANTUM_M,
     Triangles,
@@ -27,9 +27,13 @@ NEIGHBOURS = 8
 """Of which pairs are taken: more than in the map, since some of them are false and some lacking."""
 _SIDE_SD_MOST_M = 0.4
 _REACHED_SD = 2.0  # sides are asked for within so many standard deviations
-_HITS_MOST = 60_000
+_HITS_MOST = 120_000
 _BIN_M = 3.0
-_YAWS = 64  # bins of a full turn
+_YAW_BITS = 6
+_YAWS = 2**_YAW_BITS  # bins of a full turn
+_SLOTS = 2**18
+_STEPS = 1000
+_SCATTER = 0x9E3779B97F4A7C15 - 2**64  # the golden ratio, as 64 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +59,46 @@ def propose(index: PatternIndex, local: LocalMap, most: int) -> Proposals:
     high = quantised(asked.sides_m + tolerance)
     first, stop, query = index.ranges(low, high)
     count = np.bincount(query, stop - first, minlength=len(asked)).astype(np.int64)
-    order = np.argsort(count, kind="stable")
-    order = order[count[order] > 0]
-    order = order[np.cumsum(count[order]) <= _HITS_MOST]
-    chosen = np.zeros(len(asked), dtype=bool)
-    chosen[order] = True
+    chosen = _chosen(asked.corners, count)
     if not chosen.any():
         return none
-    hits = index.hits(first[chosen[query]], stop[chosen[query]], query[chosen[query]])
+    kept = chosen[query]
+    hits = index.hits(first[kept], stop[kept], query[kept])
     centre = local.points_m.mean(axis=0)
-    yaw = hits.direction_rad - asked.direction_rad[hits.query]
-    corner = local.points_m[asked.corners[hits.query, 0]]
-    place = index.points_m[hits.pole] + rotate(centre - corner, yaw)
-    rarity = np.log(max(index.triangles, 2) / np.maximum(count, 1))
-    poses, votes = _counted(place, wrap_angle(yaw), np.maximum(rarity[hits.query], 0.1), most)
+    rarity = np.log(max(index.triangles, 2) / np.maximum(count, 1)).clip(0.1)
+    # a hit lays the corner onto a pole of the map, and turns the arm from it to the centre along
+    arm = rotate(centre - local.points_m[asked.corners[:, 0]], -asked.direction_rad)
+    east, north = arm[hits.query].T
+    turned = 2.0 * np.pi / DIRECTIONS * hits.direction
+    c, s = np.cos(turned), np.sin(turned)
+    place = np.take(index.points_m, hits.pole, axis=0)
+    place += np.column_stack([c * east - s * north, s * east + c * north])
+    yaw = wrap_angle(turned - asked.direction_rad[hits.query])
+    poses, votes = _counted(place, yaw, rarity[hits.query], most)
     poses[:, :2] += rotate(-centre, poses[:, 2])
     return Proposals(poses, votes)
+
+
+def _chosen(corners: Whole, count: Whole) -> NDArray[np.bool_]:
+    """Which triangles `(n,)` are looked up: of every pole its rarest, in turn, up to a sum of hits.
+
+    The rarest of all would be those of false poles, which fit nowhere.
+    """
+    pole = corners.reshape(-1)
+    triangle = np.repeat(np.arange(len(corners)), 3)
+    order = np.lexsort((triangle, count[triangle], pole))
+    pole, triangle = pole[order], triangle[order]
+    first = np.searchsorted(pole, pole)
+    turn = np.arange(len(pole)) - first
+    by_turn = np.lexsort((count[triangle], turn))
+    triangle = triangle[by_turn]
+    _, earliest = np.unique(triangle, return_index=True)
+    asked = triangle[np.sort(earliest)]
+    asked = asked[count[asked] > 0]
+    asked = asked[np.cumsum(count[asked]) <= _HITS_MOST]
+    chosen = np.zeros(len(corners), dtype=bool)
+    chosen[asked] = True
+    return chosen
 
 
 def _asked(local: LocalMap, map_sd_m: float) -> tuple[Triangles, Floats]:
@@ -103,41 +131,52 @@ def _side_sd(local: LocalMap, corners: Whole, map_sd_m: float) -> Floats:
     """Standard deviation `(n, 3)` of the sides of triangles, against those of the map."""
     begin, end = corners, np.roll(corners, -1, axis=1)
     along = local.points_m[end] - local.points_m[begin]
-    along = along / np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-9)[..., np.newaxis]
+    length = np.hypot(along[..., 0], along[..., 1])
+    along = along / np.maximum(length, 1e-9)[..., np.newaxis]
     spread = local.covariance_m2[begin] + local.covariance_m2[end]
     own = np.einsum("nsi,nsij,nsj->ns", along, spread, along)
     moved = np.einsum("nsi,nsia->nsa", along, local.drift[end] - local.drift[begin])
     lasting = np.einsum("nsa,ab,nsb->ns", moved, local.drift_covariance, moved)
-    return np.asarray(np.sqrt(own + lasting + 2.0 * map_sd_m**2 + QUANTUM_M**2 / 12.0))
+    known = 2.0 * map_sd_m**2 + QUANTUM_M**2 / 12.0
+    return np.asarray(np.sqrt(own + lasting + (WANDER * length) ** 2 + known))
 
 
 def _counted(place: Floats, yaw: Floats, weight: Floats, most: int) -> tuple[Floats, Floats]:
     """Mean poses `(m, 3)` of the bins with the most votes, and these."""
     origin = place.min(axis=0) - _BIN_M
-    values = np.column_stack([place - origin, np.ones(len(place))]) * weight[:, np.newaxis]
+    cell = (place - origin) / _BIN_M
+    turned = (yaw + np.pi) * (_YAWS / (2.0 * np.pi))
     poses, votes = [], []
     # what a border cuts in one grid lies whole in a grid that is shifted by half a bin
     for shift in (0.0, 0.5):
-        column = np.floor((place - origin) / _BIN_M + shift).astype(np.int64)
-        turn = (yaw + np.pi) * (_YAWS / (2.0 * np.pi)) + shift
-        bin_yaw = np.floor(turn).astype(np.int64)
-        row = column[:, 0] * (column[:, 1].max() + 1) + column[:, 1]
-        key = row * _YAWS + bin_yaw % _YAWS
-        order = np.argsort(key)
+        column = (cell + shift).astype(np.int64)
+        turn = turned + shift
+        bin_yaw = turn.astype(np.int64)
+        key = (column[:, 0] << 32) | (column[:, 1] << _YAW_BITS) | (bin_yaw & (_YAWS - 1))
+        rows = _crowded(key, weight, most)
+        order = rows[np.argsort(key[rows], kind="stable")]
         key = key[order]
         first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
-        east, north, total = np.add.reduceat(values[order], first, axis=0).T
-        rest = np.add.reduceat((weight * (turn - bin_yaw))[order], first)
+        w = weight[order]
+        part = turn[order] - bin_yaw[order]
+        values = np.column_stack([place[order] - origin, part, np.ones(len(w))])
+        east, north, rest, total = np.add.reduceat(values * w[:, np.newaxis], first, axis=0).T
         best = np.argsort(-total, kind="stable")[:most]
-        mean = (key[first[best]] % _YAWS + rest[best] / total[best] - shift) / _YAWS
-        poses.append(
-            np.column_stack(
-                [
-                    origin[0] + east[best] / total[best],
-                    origin[1] + north[best] / total[best],
-                    wrap_angle(2.0 * np.pi * mean - np.pi),
-                ]
-            )
-        )
-        votes.append(total[best])
+        total = total[best]
+        mean = ((key[first[best]] & (_YAWS - 1)) + rest[best] / total - shift) / _YAWS
+        middle = origin + np.column_stack([east[best], north[best]]) / total[:, np.newaxis]
+        poses.append(np.column_stack([middle, wrap_angle(2.0 * np.pi * mean - np.pi)]))
+        votes.append(total)
     return np.concatenate(poses), np.concatenate(votes)
+
+
+def _crowded(key: Whole, weight: Floats, most: int) -> Whole:
+    """Rows whose bins may be among the `most` with the most votes: all bins are counted in a table
+    in which a few of them share a place, which is quicker than to order them."""
+    slot = (key * _SCATTER >> 20) & (_SLOTS - 1)
+    total = np.bincount(slot, weight, minlength=_SLOTS)
+    step = max(float(total.max()), 1e-9) / _STEPS
+    filled = np.bincount((total / step).astype(np.int64))
+    enough = np.flatnonzero(np.cumsum(filled[::-1]) >= 4 * most)
+    least = step * (len(filled) - 1 - enough[0]) if len(enough) else 0.0
+    return np.flatnonzero(total[slot] >= max(least, 1e-9))

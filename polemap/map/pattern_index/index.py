@@ -26,12 +26,12 @@ class Hits:
     Attributes:
         query: `(n,)` which of the asked.
         pole: `(n,)` row of the pole at its first corner.
-        direction_rad: `(n,)` of its longest side in the map.
+        direction: `(n,)` of its longest side in the map, in steps of a full turn.
     """
 
     query: Whole
     pole: Whole
-    direction_rad: Floats
+    direction: NDArray[np.uint16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,7 @@ class PatternIndex:
         pole = self.pole[number].astype(np.int64)
         if len(pole) and pole.max() >= len(self.points_m):
             raise InputError("index of patterns: it is damaged; build it anew")
-        turn = self.direction[number].astype(np.float64) * (2.0 * np.pi / DIRECTIONS)
-        return Hits(query[owner], pole, turn)
+        return Hits(query[owner], pole, self.direction[number])
 
     def nearest(self, points_m: Floats, limit_m: float) -> tuple[Floats, Whole]:
         """Distance and row of the nearest pole of each point `(..., 2)`.

@@ -11,7 +11,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.jobs import LocalWorkers, in_order
 from polemap.map.pattern_index.build import TileTask, build_index, find_triangles, kept_tiles
 from polemap.map.pattern_index.cells import TILE_M
-from polemap.map.pattern_index.index import PatternIndex
+from polemap.map.pattern_index.index import DIRECTIONS, PatternIndex
 from polemap.map.pattern_index.triples import neighbour_triples, quantised, triangles
 from tests.pole_maps import plain_map
 
@@ -75,7 +75,8 @@ def test_every_triangle_is_found_by_its_shape() -> None:
     for number in range(len(asked)):
         mine = hits.query == number
         assert asked.corners[number, 0] in hits.pole[mine]
-    turn = np.abs(np.exp(1j * hits.direction_rad) - np.exp(1j * asked.direction_rad[hits.query]))
+    kept = hits.direction * (2.0 * np.pi / DIRECTIONS)
+    turn = np.abs(np.exp(1j * kept) - np.exp(1j * asked.direction_rad[hits.query]))
     same = hits.pole == asked.corners[hits.query, 0]
     assert np.quantile(turn[same], 0.9) < 2e-4
 
