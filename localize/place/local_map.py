@@ -222,7 +222,7 @@ def _joined(looks: list[_Look], drift: Floats) -> tuple[LocalMap, Floats]:
     information = sums.of(weight)
     vector = sums.of(np.einsum("sij,sj->si", weight, point))
     cross = sums.of(weight @ slope)
-    spread = np.linalg.inv(information)
+    spread = np.asarray(np.linalg.inv(information), dtype=np.float64)
     place = np.einsum("nij,nj->ni", spread, vector)
     moved = spread @ cross
     rest = point - place[pole]
@@ -235,7 +235,7 @@ def _joined(looks: list[_Look], drift: Floats) -> tuple[LocalMap, Floats]:
     change = -drift_covariance @ (pull + prior @ drift)
     place = place + moved @ change
     away = place - place.mean(axis=0)
-    wander: Floats = np.asarray(WANDER**2 * np.einsum("ni,ni->n", away, away))
+    wander: Floats = WANDER**2 * np.einsum("ni,ni->n", away, away)
     width = np.concatenate([one.width_m for one in looks])
     known = np.isfinite(width)
     seen = np.bincount(pole[known], minlength=len(numbers))
