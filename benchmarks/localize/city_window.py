@@ -1,0 +1,349 @@
+"""What the size of a city costs a localizer: opening, memory, update, reading a window, the pose.
+
+    python -m benchmarks.localize.city_window [MAP...]
+
+`run()` makes cities of 1,000 to 100,000 poles; larger ones are made once by
+`python -m benchmarks.localize.cities POLES MAP` and given here. For each map, in a process of its
+own:
+
+- `open`: time of `open_map` (the first of the process, libraries imported), and resident memory;
+- `update`: of the particle filter on a circle in the city's middle, in the city and in the 200
+  poles around, sample by sample in turn, so that a busy machine slows both;
+- `window`: reading a square of 1200 m at places all over the city, nothing of it in memory;
+- `pose`: `pose_at` asked every millisecond while another thread adds samples, with the 200 poles in
+  memory, with the city as in a car, and with a thread that reads windows without a pause. In turn.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import count
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.harness import Figures, show, summary
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
+from polemap.drivelog.samples import GnssFix, OdometrySample
+from polemap.localize.config import LocalizeConfig, OdometryConfig
+from polemap.localize.localizer import Localizer
+from polemap.localize.map_window import LOADED_M
+from polemap.map.city.city_map import CityMap, box_around
+from polemap.map.city.io import open_map
+from polemap.map.pole_map import PoleMap
+from polemap.vehicle.pose import inverse_transform_points
+
+Floats = NDArray[np.float64]
+Samples = list[OdometrySample | GnssFix | Detections]
+
+_CONFIG = LocalizeConfig(odometry=OdometryConfig(slip_rad_per_mps2=0.005))
+_WHEELBASE_M = 2.7
+_FEW = 200
+_VIEW = VisibleRegion(np.array([1.5, 0.0]), -0.7, 0.7, 2.0, np.full(32, 40.0))
+_SEEN_SHARE, _SD_M = 0.8, 0.1
+# a circle that stays among the 200 poles, and a way that needs several windows
+_CIRCLE_M, _SPEED_MPS, _DURATION_S = 15.0, 6.0, 60.0
+_WAY_MPS, _SCANS_HZ, _ODOMETRY_HZ = 14.0, 10, 50
+_ROUNDS, _ROUND_S, _ASKED_S = 3, 6.0, 0.001
+
+
+def circle(stamp_s: float, middle: Floats) -> Floats:
+    """Pose `(3,)` on the circle."""
+    angle = _SPEED_MPS / _CIRCLE_M * stamp_s
+    place = middle + _CIRCLE_M * np.array([np.cos(angle), np.sin(angle)])
+    return np.array([*place, angle + np.pi / 2])
+
+
+def way(stamp_s: float, start: Floats) -> Floats:
+    """Pose `(3,)` on a straight way to the north-east."""
+    return np.array([*(start + _WAY_MPS * stamp_s / np.sqrt(2.0)), np.pi / 4])
+
+
+def drive(path: Path, straight: bool) -> tuple[Samples, Floats]:
+    """Samples of a drive in a map, and its first pose."""
+    pole_map = open_map(path)
+    middle = _middle(pole_map)
+    rng = np.random.default_rng(0)
+    pose_at = way if straight else circle
+    speed, rate = (_WAY_MPS, 0.0) if straight else (_SPEED_MPS, _SPEED_MPS / _CIRCLE_M)
+    samples: Samples = []
+    for tick in range(round(_DURATION_S * _ODOMETRY_HZ)):
+        stamp = tick / _ODOMETRY_HZ
+        noise = rng.standard_normal(2) * (0.05, 0.002)
+        samples.append(OdometrySample(stamp, stamp, speed + noise[0], rate + noise[1]))
+        pose = pose_at(stamp, middle)
+        if tick % _ODOMETRY_HZ == 0:
+            east, north = (pose[:2] + rng.standard_normal(2)).tolist()
+            samples.append(GnssFix(stamp, stamp, east, north, 1.0))
+        if tick % (_ODOMETRY_HZ // _SCANS_HZ) == 0:
+            samples.append(_scan(stamp, pose, pole_map, rng))
+    return samples, pose_at(0.0, middle)
+
+
+def _middle(pole_map: PoleMap | CityMap) -> Floats:
+    points = pole_map.points_m if isinstance(pole_map, PoleMap) else None
+    extent = (
+        np.array(pole_map.statistics.extent_m).reshape(2, 2)
+        if isinstance(pole_map, CityMap)
+        else np.stack([points.min(axis=0), points.max(axis=0)])  # type: ignore[union-attr]
+    )
+    return np.asarray(extent.mean(axis=0))
+
+
+def _around(pole_map: PoleMap | CityMap, place: Floats, radius_m: float) -> PoleMap:
+    if isinstance(pole_map, CityMap):
+        return pole_map.poles_within(place, radius_m)
+    return pole_map.rows(pole_map.within(place, radius_m))
+
+
+def _scan(
+    stamp_s: float, pose: Floats, pole_map: PoleMap | CityMap, rng: np.random.Generator
+) -> Detections:
+    around = _around(pole_map, pose[:2], 45.0)
+    local = inverse_transform_points(pose, around.points_m)
+    seen = _VIEW.contains(local) & (rng.random(len(local)) < _SEEN_SHARE)
+    points = local[seen] + _SD_M * rng.standard_normal((int(seen.sum()), 2))
+    return pole_detections(
+        stamp_s, stamp_s, points, np.tile(np.eye(2) * _SD_M**2, (len(points), 1, 1)),
+        width_m=around.width_m[seen], view=_VIEW,
+    )  # fmt: skip
+
+
+def _localizer(pole_map: PoleMap | CityMap, start: Floats, **options: Any) -> Localizer:
+    localizer = Localizer(pole_map, _CONFIG, _WHEELBASE_M, np.random.default_rng(0), **options)
+    localizer.start_at(-0.02, start, np.diag([0.04, 0.04, 1e-4]))
+    return localizer
+
+
+def resident_mb() -> float:
+    """Of this process, now."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def opening(path: Path) -> dict[str, float]:
+    """Time and memory of opening a map."""
+    # an empty city has the libraries imported, which a program does once
+    before = resident_mb()
+    _import_libraries(path)
+    imported = resident_mb()
+    begin = time.perf_counter()
+    pole_map = open_map(path)
+    return {
+        "poles": float(len(pole_map)),
+        "open_ms": 1e3 * (time.perf_counter() - begin),
+        "imports_mb": imported - before,
+        "resident_mb": resident_mb(),
+        "file_mb": path.stat().st_size / 1e6,
+    }
+
+
+def _import_libraries(path: Path) -> None:
+    if path.suffix == ".parquet":
+        from pyarrow import parquet  # noqa: F401
+        from pyproj import CRS  # noqa: F401
+
+
+def localizing(path: Path, samples: Samples, start: Floats) -> dict[str, float]:
+    """A drive straight through the city as in a car: memory, updates, windows."""
+    pole_map = open_map(path)
+    localizer = _localizer(pole_map, start, clock=time.perf_counter)
+    for sample in samples:
+        localizer.add_sample(sample)
+        localizer.pose_at(sample.arrival_s)
+    counts = localizer.summary()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 * 1.048576
+    return {
+        **summary(localizer.timings_s["particle_filter"]),
+        "windows": float(counts.get("pf_map_windows", 0)),
+        "beyond_window": float(counts.get("pf_poles_beyond_window", 0)),
+        "peak_mb": peak,
+    }
+
+
+def updates(path: Path, samples: Samples, start: Floats) -> Figures:
+    """Of the particle filter in the city and in the 200 poles around, in turn."""
+    pole_map = open_map(path)
+    localizers = {
+        "few": _localizer(_few(pole_map, start), start, clock=time.perf_counter),
+        "city": _localizer(
+            pole_map, start, clock=time.perf_counter, load_in_background=False
+        ),
+    }  # fmt: skip
+    for number, sample in enumerate(samples):
+        for name in sorted(localizers, reverse=bool(number % 2)):
+            localizers[name].add_sample(sample)
+    # the first scan of a replay reads the window
+    times = {name: one.timings_s["particle_filter"][5:] for name, one in localizers.items()}
+    return {
+        "few": summary(times["few"]),
+        "city": {
+            **summary(times["city"]),
+            "ratio_to_few": float(np.median(times["city"]) / np.median(times["few"])),
+        },
+    }
+
+
+def _few(pole_map: PoleMap | CityMap, start: Floats) -> PoleMap:
+    """The 200 poles around the circle."""
+    around = _around(pole_map, start[:2], 400.0)
+    order = np.argsort(np.hypot(*(around.points_m - start[:2]).T), kind="stable")
+    return around.rows(np.sort(order[:_FEW]))
+
+
+def windows(path: Path, places: int = 40) -> dict[str, float]:
+    """Reading windows all over the city, each from the disk."""
+    first = open_map(path)
+    if not isinstance(first, CityMap):
+        return {}
+    extent = np.array(first.statistics.extent_m).reshape(2, 2)
+    rng = np.random.default_rng(0)
+    spent, found = [], []
+    for _ in range(places):
+        city = CityMap(first._store, cached_poles=0)
+        begin = time.perf_counter()
+        area = city.area(box_around(rng.uniform(*extent), LOADED_M))
+        _ = area.poles.tree
+        spent.append(time.perf_counter() - begin)
+        found.append(len(area.poles))
+    return {**summary(spent), "poles": float(np.mean(found))}
+
+
+def poses(path: Path, samples: Samples, start: Floats) -> Figures:
+    """`pose_at` without windows, with those of a car, and with windows without a pause."""
+    pole_map = open_map(path)
+    maps = {"in_memory": _few(pole_map, start), "city": pole_map, "always_reading": pole_map}
+    spent: dict[str, list[float]] = {name: [] for name in maps}
+    for _ in range(_ROUNDS):
+        for name, one in maps.items():
+            stop = Event()
+            reading = Thread(target=_read_on, args=(pole_map, stop), daemon=True)
+            if name == "always_reading":
+                reading.start()
+            spent[name] += _asked(_localizer(one, start), samples, stop)
+            stop.set()
+            if name == "always_reading":
+                reading.join()
+    base = float(np.percentile(spent["in_memory"], 99.9))
+    return {
+        name: {
+            **summary(times, 99),
+            "p99.9_ms": 1e3 * float(np.percentile(times, 99.9)),
+            "max_ms": 1e3 * max(times),
+            "p99.9_ratio_to_in_memory": float(np.percentile(times, 99.9)) / base,
+        }
+        for name, times in spent.items()
+    }
+
+
+def _read_on(pole_map: PoleMap | CityMap, stop: Event) -> None:
+    if not isinstance(pole_map, CityMap):
+        return
+    extent = np.array(pole_map.statistics.extent_m).reshape(2, 2)
+    rng = np.random.default_rng(0)
+    while not stop.is_set():
+        city = CityMap(pole_map._store, cached_poles=0)
+        _ = city.area(box_around(rng.uniform(*extent), LOADED_M)).poles.tree
+
+
+def _asked(localizer: Localizer, samples: Samples, stop: Event) -> list[float]:
+    """Seconds of `pose_at` while the samples come in real time."""
+    begin = time.perf_counter()
+
+    def feed() -> None:
+        for sample in samples:
+            wait = sample.arrival_s - (time.perf_counter() - begin)
+            if wait > 0.0:
+                time.sleep(wait)
+            if stop.is_set() or sample.arrival_s > _ROUND_S:
+                return
+            localizer.add_sample(sample)
+
+    feeding = Thread(target=feed, daemon=True)
+    feeding.start()
+    spent = []
+    for tick in count():
+        due = tick * _ASKED_S
+        wait = due - (time.perf_counter() - begin)
+        if wait > 0.0:
+            time.sleep(wait)
+        if due > _ROUND_S:
+            break
+        asked = time.perf_counter()
+        localizer.pose_at(asked - begin)
+        spent.append(time.perf_counter() - asked)
+    feeding.join()
+    return spent
+
+
+def measure(path: Path, *, with_poses: bool = True) -> dict[str, Any]:
+    """All figures of a map."""
+
+    def apart(work: Any, *arguments: Any) -> Any:
+        # a new process each: memory and caches are its own
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context) as pool:
+            return pool.submit(work, *arguments).result()
+
+    turning, turning_start = apart(drive, path, False)
+    straight, straight_start = apart(drive, path, True)
+    figures = {
+        "open": apart(opening, path),
+        "localizing": apart(localizing, path, straight, straight_start),
+        "update": apart(updates, path, turning, turning_start),
+        "window": apart(windows, path),
+    }
+    if with_poses:
+        figures["pose"] = apart(poses, path, turning, turning_start)
+    return figures
+
+
+def flat(name: str, figures: dict[str, Any]) -> Figures:
+    """Rows of the figures of a map."""
+    rows: Figures = {}
+    for part, values in figures.items():
+        if values and isinstance(next(iter(values.values())), dict):
+            rows |= {f"{name}_{part}_{one}": row for one, row in values.items()}
+        elif values:
+            rows[f"{name}_{part}"] = values
+    return rows
+
+
+def run() -> Figures:
+    """Cities that are made in a few seconds."""
+    from benchmarks.localize.cities import make_city
+    from polemap.map.io import write_map
+
+    rows: Figures = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for poles in (1000, 10_000, 100_000):
+            path = Path(folder) / f"city_{poles}.gpkg"
+            write_map(make_city(poles, 1).surveyed(0.05, 0), path)
+            rows |= flat(path.stem, measure(path, with_poses=poles == 100_000))
+    return rows
+
+
+def main(words: Sequence[str]) -> None:
+    """Measure the maps that are named, or those of `run`."""
+    if not words:
+        show("cities", run())
+        return
+    for word in words:
+        path = Path(word)
+        rows = flat(path.name, measure(path))
+        show(path.name, rows)
+        print(json.dumps(rows))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
