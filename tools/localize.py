@@ -21,7 +21,13 @@ from polemap.settings import Settings, load_settings
 from polemap.tools.drive_detection import DriveDetections, Source, detect_drive
 from polemap.tools.findings import require_plausible
 from polemap.tools.follow.command import Asked, check_options, follow
-from polemap.tools.follow.option_types import CarOption, FollowOption, IdleOption, ServeOption
+from polemap.tools.follow.option_types import (
+    CarOption,
+    DelayOption,
+    FollowOption,
+    IdleOption,
+    ServeOption,
+)
 from polemap.tools.monte_carlo import Replay, run_many, shared_runs
 from polemap.tools.option_types import (
     ConfigOption,
@@ -64,6 +70,7 @@ def command(
     car: CarOption = None,
     serve: ServeOption = None,
     idle_s: IdleOption = None,
+    delay_s: DelayOption = None,
     odometry: OdometryOption = "auto",
     force: ForceOption = False,
     seed: SeedOption = 0,
@@ -95,10 +102,14 @@ def command(
                        "--odometry": odometry != "auto"})  # fmt: skip
         _check_map(map_file, without_poles)
         settings = load_settings(config, set_values)
-        return follow(Asked(followed, map_file, car, topics, out, serve, idle_s, seed, settings))
+        given = Asked(
+            followed, map_file, car, topics, out, serve, idle_s, delay_s or 0.0, seed, settings
+        )
+        return follow(given)
     if drive is None or out is None:
         raise ConfigError("localize: DRIVE and --out are needed (or --follow SOURCE)")
-    _refuse_live_options({"--car": car, "--serve": serve, "--idle": idle_s})
+    _refuse_live_options({"--car": car, "--serve": serve, "--idle": idle_s,
+                          "--delay": delay_s})  # fmt: skip
     check_folder(out, "run", (drive, map_file, cache, config, topics))
     settings = load_settings(config, set_values)
     _check_map(map_file, without_poles)

@@ -52,8 +52,3 @@ class StreamTime:
         """The time on the stream's clock; None before its first sample."""
         with self._lock:
             return None if self._offset_s is None else self._clock() + self._offset_s
-
-    def arrival_s(self, log_s: float) -> float:
-        """When a sample with this time of recording arrived here: now, and not before."""
-        now = self.now_s()
-        return log_s if now is None else max(log_s, now)

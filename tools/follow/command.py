@@ -45,6 +45,7 @@ class Asked:
     Attributes:
         source: a file, or - for standard input.
         serve: `[HOST:]PORT` of a Foxglove WebSocket in place of lines on stdout.
+        delay_s: answers are for so long ago, see `Engine`.
         idle_s: ends when a file has not grown for so long; None never.
     """
 
@@ -55,6 +56,7 @@ class Asked:
     out: Path | None
     serve: str | None
     idle_s: float | None
+    delay_s: float
     seed: int
     settings: Settings
 
@@ -77,7 +79,7 @@ def follow(asked: Asked) -> int:
         source = GrowingBytes(asked.source, stop, asked.idle_s)
         followed = open_followed(source, asked.car, asked.topics)
         pole_map = _map(asked.map_file, followed.car)
-        engine = Engine(followed, pole_map, asked.settings, asked.seed)
+        engine = Engine(followed, pole_map, asked.settings, asked.seed, asked.delay_s)
         for note in (*followed.car.notes, *followed.notes):
             _say(f"note: {note}")
         with ExitStack() as stack:

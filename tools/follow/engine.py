@@ -43,6 +43,10 @@ _BEHIND_S, _MOST_WAITING = 0.3, 64
 _LATE_S = 0.05
 
 
+# samples that wait for their time, and how often it is looked whether it has come
+_MOST_HELD, _LOOK_S = 2000, 0.004
+
+
 @dataclass(frozen=True, slots=True)
 class Tick:
     """One answer: the pose, when it went out on the stream's clock, and what was skipped so far."""
@@ -60,9 +64,23 @@ class Engine:
     """
 
     def __init__(
-        self, followed: Followed, pole_map: PoleMap | CityMap | None, settings: Settings, seed: int
+        self,
+        followed: Followed,
+        pole_map: PoleMap | CityMap | None,
+        settings: Settings,
+        seed: int,
+        delay_s: float = 0.0,
     ) -> None:
-        """Prepare; nothing is read before `run`."""
+        """Prepare; nothing is read before `run`.
+
+        Args:
+            followed: the stream.
+            pole_map: None for odometry and GNSS alone.
+            settings: of the filters.
+            seed: of the particle filter.
+            delay_s: samples are held back, and answers asked for, so long after their time of
+                recording: what comes in bursts of up to that length is in time then.
+        """
         car = followed.car
         self._followed, self._rate_hz = followed, settings.localize.output.rate_hz
         self._updates: list[PoseUpdate] = []
@@ -78,6 +96,8 @@ class Engine:
             on_update=self._updates.append,
             clock=time.perf_counter,
         )
+        self._delay_s = delay_s
+        self._held: deque[Sample] = deque()
         self._for_tracker: deque[OdometrySample] = deque(maxlen=20_000)
         self._with_map = pole_map is not None
         self.time = StreamTime(time.monotonic)
@@ -87,7 +107,7 @@ class Engine:
         self._odometry, self._gnss = array("d"), array("d")
         self._views: deque[PendingFrame | Detections] = deque()
         self._waiting = Condition()
-        self._read_all, self._stop = False, Event()
+        self._all_read, self._read_all, self._stop = False, False, Event()
         self._error: BaseException | None = None
 
     def run(
@@ -110,6 +130,10 @@ class Engine:
             Thread(target=self._guarded, args=(work,), name=name, daemon=True)
             for work, name in ((self._read, "reader"), (self._look, "pictures"))
         ]
+        sources = [threads[0]]
+        if self._delay_s > 0.0:
+            sources.append(Thread(target=self._guarded, args=(self._release,), daemon=True))
+            threads.append(sources[1])
         for thread in threads:
             thread.start()
         period = 1.0 / self._rate_hz
@@ -117,7 +141,7 @@ class Engine:
         beats = 0
         try:
             while not stop.is_set():
-                ended = not threads[0].is_alive()
+                ended = not any(thread.is_alive() for thread in sources)
                 number = self._ticks(number, send)
                 if self._error is not None or ended:
                     break
@@ -160,7 +184,7 @@ class Engine:
 
     def _ticks(self, number: int | None, send: Callable[[Tick], None]) -> int | None:
         """Every tick that is due; the number of the next one."""
-        now = self.time.now_s()
+        now = self._now_s()
         if now is None:
             return None
         if number is None:
@@ -176,7 +200,7 @@ class Engine:
             if answer is None:
                 continue
             lag_s = (self.time.now_s() or stamp) - stamp
-            self.counts["ticks_late"] += lag_s > _LATE_S
+            self.counts["ticks_late"] += lag_s - self._delay_s > _LATE_S
             self._trace.append(stamp, answer)
             send(Tick(answer, lag_s, self.counts["frames_skipped"]))
         return number
@@ -193,12 +217,36 @@ class Engine:
     def _read(self) -> None:
         for sample in self._followed.samples:
             if self._stop.is_set():
+                break
+            if self._delay_s > 0.0:
+                self.time.note(_recorded_s(sample))
+                self._held.append(sample)
+                while len(self._held) >= _MOST_HELD and not self._stop.wait(_LOOK_S):
+                    pass
+            else:
+                self._take(sample)
+        self._all_read = True
+
+    def _release(self) -> None:
+        """Hands samples on when their time of recording and the delay have passed."""
+        while not self._stop.is_set():
+            now = self._now_s()
+            if not self._held and self._all_read:
                 return
-            self._take(sample)
+            if now is None or not self._held or _recorded_s(self._held[0]) > now:
+                self._stop.wait(_LOOK_S)
+                continue
+            self._take(self._held.popleft())
+
+    def _now_s(self) -> float | None:
+        """The time of what has been handed on, on the stream's clock."""
+        now = self.time.now_s()
+        return None if now is None else now - self._delay_s
 
     def _take(self, sample: Sample) -> None:
-        log_s = sample.arrival_s if isfinite(sample.arrival_s) else sample.stamp_s
-        sample = replace(sample, arrival_s=self.time.arrival_s(log_s))
+        log_s = _recorded_s(sample)
+        now = self._now_s()
+        sample = replace(sample, arrival_s=log_s if now is None else max(log_s, now))
         if isinstance(sample, OdometrySample):
             self._localizer.add_sample(sample)
             self._for_tracker.append(sample)
@@ -230,7 +278,7 @@ class Engine:
         with self._waiting:
             while not self._views and not self._read_all:
                 self._waiting.wait(0.5)
-            now = self.time.now_s() or 0.0
+            now = self._now_s() or 0.0
             while len(self._views) > 1 and now - self._views[0].arrival_s > _BEHIND_S:
                 self._views.popleft()
                 self.counts["frames_skipped"] += 1
@@ -258,3 +306,8 @@ class Engine:
             self._followed.reasons.setdefault("frames_unusable", str(error))
             return
         self.counts["frames_looked_at"] += 1
+
+
+def _recorded_s(sample: Sample) -> float:
+    """When a recorder had a sample; its stamp where nothing says it."""
+    return sample.arrival_s if isfinite(sample.arrival_s) else sample.stamp_s

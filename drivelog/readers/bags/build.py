@@ -218,7 +218,14 @@ class Build:
             return np.zeros(2)
         if part.antenna is not None:
             return np.array([part.antenna.x_m, part.antenna.y_m])
-        frame = self._index.topics[part.topic].frame_id
+        topic = self._index.topics[part.topic]
+        if topic.kind != "gnss":  # its frame is that of the positions, not the antenna
+            self._notes.append(
+                f"{part.topic}: the antenna is taken to be at the rear axle; gnss.antenna of a "
+                "mapping moves it"
+            )
+            return np.zeros(2)
+        frame = topic.frame_id
         way = self._vehicle.vehicle_from(frame)
         if way is None:
             self._notes.append(

@@ -203,6 +203,40 @@ def test_a_reader_of_both_streams_that_goes_away_costs_no_run(street: Path, tmp_
     assert (tmp_path / "run" / "kf.tum").stat().st_size > 0
 
 
+def test_bursts_are_in_time_where_a_delay_is_asked_for(
+    street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the chunks of a recorder come, 0.7 s of samples at once."""
+    lines = (street / "lines.jsonl").read_text().splitlines(keepends=True)
+    arrivals = [json.loads(line)["arrival_s"] for line in lines]
+    growing = tmp_path / "lines.jsonl"
+    growing.write_text(lines[0])
+
+    def write() -> None:
+        begin = time.monotonic()
+        with growing.open("a") as file:
+            for until in np.arange(0.7, arrivals[-1] - arrivals[0] + 0.7, 0.7):
+                time.sleep(max(0.0, begin + until - time.monotonic()))
+                file.writelines(
+                    line
+                    for line, arrival in zip(lines[1:], arrivals[1:], strict=True)
+                    if until - 0.7 <= arrival - arrivals[0] < until
+                )
+                file.flush()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    words = [growing, "--car", street / "drive", "--map", street / "map.gpkg", *FEW]
+    assert follow(*words, "--delay", "1.0", "--idle", "2") == cli.GOOD
+    writer.join()
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(rows) > 100
+    assert min(row["lag_s"] for row in rows) >= 1.0 - 1e-3
+    inside = [row for row in rows if row["stamp_s"] <= arrivals[-1]]
+    silent = sum(row["distrust"] == "odometry_silent" for row in inside)
+    assert silent < 0.1 * len(inside)
+
+
 def test_an_output_that_fails_ends_the_threads_first(street: Path) -> None:
     source = GrowingBytes(str(street / "d.mcap"), threading.Event())
     engine = Engine(open_followed(source, None, None), None, Settings(), 0)
@@ -278,5 +312,7 @@ def test_options_of_following_go_with_it(
     words = ["localize", street / "drive", "--map", street / "map.gpkg", "--out", tmp_path / "r"]
     assert cli.run([*map(str, words), "--serve", "8765"]) == cli.USER_ERROR
     assert "--serve goes with --follow" in capsys.readouterr().err
+    assert cli.run([*map(str, words), "--delay", "1"]) == cli.USER_ERROR
+    assert "--delay goes with --follow" in capsys.readouterr().err
     assert cli.run(["localize", "--map", str(street / "map.gpkg")]) == cli.USER_ERROR
     assert "DRIVE and --out are needed" in capsys.readouterr().err
