@@ -47,8 +47,6 @@ class OdometryErrors:
         speed_scale: what it says for one true metre.
         delay_s: how much later its stamps are than what they are of; NaN where neither speed nor
             turn rate change enough to tell.
-        yaw_rate_scale: what it says for one true radian, NaN on a straight drive.
-        yaw_rate_bias_radps: what it says while the car goes straight.
         spans: how many were compared.
     """
 
@@ -57,10 +55,6 @@ class OdometryErrors:
     speed_scale_sd: float
     delay_s: float
     delay_sd_s: float
-    yaw_rate_scale: float
-    yaw_rate_scale_sd: float
-    yaw_rate_bias_radps: float
-    yaw_rate_bias_sd_radps: float
     spans: int
 
 
@@ -127,17 +121,12 @@ def odometry_errors(drive: Drive, witness: Witness) -> OdometryErrors | None:
     if way_fit is None or turn_fit is None:
         return None
     told = delay_sd < 0.1
-    turned = turn_fit.sd[0] < 0.2
     return OdometryErrors(
         against=witness.name,
         speed_scale=float(way_fit.values[0]),
         speed_scale_sd=float(np.hypot(way_fit.sd[0], _SCALE_FLOOR[witness.name])),
         delay_s=delay if told else float("nan"),
         delay_sd_s=delay_sd if told else float("nan"),
-        yaw_rate_scale=float(turn_fit.values[0]) if turned else float("nan"),
-        yaw_rate_scale_sd=float(turn_fit.sd[0]) if turned else float("nan"),
-        yaw_rate_bias_radps=float(turn_fit.values[1]),
-        yaw_rate_bias_sd_radps=float(turn_fit.sd[1]),
         spans=len(way_fit.residuals),
     )
 
