@@ -96,12 +96,12 @@ def command(
     --follow localizes while a drive is being recorded: a JSON line a pose on stdout, 100 a second,
     or --serve; see docs/live.md.
     """
+    settings = load_settings(config, set_values)
     if followed is not None:
         check_options({"a drive": drive is not None, "--lap": lap is not None, "--runs": runs > 1,
                        "--cache": cache is not None, "--workers": workers is not None,
                        "--odometry": odometry != "auto"})  # fmt: skip
         _check_map(map_file, without_poles)
-        settings = load_settings(config, set_values)
         given = Asked(
             followed, map_file, car, topics, out, serve, idle_s, delay_s or 0.0, seed, settings
         )
@@ -111,18 +111,14 @@ def command(
     _refuse_live_options({"--car": car, "--serve": serve, "--idle": idle_s,
                           "--delay": delay_s})  # fmt: skip
     check_folder(out, "run", (drive, map_file, cache, config, topics))
-    settings = load_settings(config, set_values)
     _check_map(map_file, without_poles)
     processes = workers or cpu_count() or 1
     source = Source(str(drive), lap, None if topics is None else str(topics), odometry)
     opened = source.open()
     pole_map = open_map(map_file, frame=opened.frame) if map_file is not None else None
     require_plausible(opened.name, find(opened, pole_map), force=force)
-    localize = for_car(settings.localize, opened.car)
-    settings = settings.model_copy(update={"localize": localize})
-    detected = DriveDetections((), {})
-    if pole_map is not None:
-        detected = _detect(source, opened, pole_map, settings, processes, cache)
+    settings = settings.model_copy(update={"localize": for_car(settings.localize, opened.car)})
+    detected = _detect(source, opened, pole_map, settings, processes, cache)
     job = Replay(source, map_file, pole_map, detected, settings, opened.frame)
     kept = None if cache is None or runs == 1 else cache / f"runs-{job.key(opened)}"
     with shared_runs(kept), atomic_folder(out, "run") as folder:
@@ -130,8 +126,7 @@ def command(
             metrics = job.run(folder, seed, show=True)
         else:
             metrics = run_many(job, folder, seed, runs, min(processes, runs), kept)
-    map_notes = pole_map.notes if pole_map is not None else ()
-    typer.echo(_table(metrics, map_notes, out))
+    typer.echo(_table(metrics, () if pole_map is None else pole_map.notes, out))
     return 0
 
 
@@ -144,12 +139,14 @@ def _refuse_live_options(given: dict[str, Any]) -> None:
 def _detect(
     source: Source,
     drive: Drive,
-    pole_map: PoleMap | CityMap,
+    pole_map: PoleMap | CityMap | None,
     settings: Settings,
     processes: int,
     cache: Path | None,
 ) -> DriveDetections:
-    """What is seen of poles along the drive, once for all runs."""
+    """What is seen of poles along the drive, once for all runs; nothing without a map."""
+    if pole_map is None:
+        return DriveDetections((), {})
     check_inputs(drive, pole_map, has_poles=drive.has_frames or bool(drive.scans))
     total = len(drive.frame_stamps_s) if drive.has_frames else len(drive.scans)
     with progress(total, "detecting poles") as advance:

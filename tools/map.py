@@ -60,6 +60,7 @@ class _Job:
     workers: int | None
     scheduler: str | None
     align: bool
+    index: bool
     settings: Settings
 
     @property
@@ -96,9 +97,7 @@ class _Job:
 def command(
     drives: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Drives with reference poses, of any known kind; two maps with --diff."
-        ),
+        typer.Argument(help="Drives of any kind with reference poses; two maps with --diff."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Map to write: .gpkg, .geojson or .parquet.")
@@ -155,10 +154,9 @@ def command(
     The ending of --out chooses the format. Poles that were seen too seldom for how often they were
     in view are left out; `docs/maps.md` has the rules and the columns.
     """
-    written = [out, picture, layer]
-    check_files(written, [*(drives or []), convert, config, topics])
+    check_files([out, picture, layer], [*(drives or []), convert, config, topics])
     # a map may be brought up to date in its place, pictures of it may not stand there
-    check_files(written[1:], [update])
+    check_files([picture, layer], [update])
     settings = load_settings(config, set_values)
     if diff:
         compare(drives or [], out, align)
@@ -176,15 +174,18 @@ def command(
     check_picture(picture)
     with reserved(out):
         # the map keeps its own zone: drives come to it
-        old = read_map(update, allow_empty=True) if update is not None else None
-        for note in old.notes if old is not None else ():
-            typer.echo(f"note: {update}: {note}")
-        job = _Job(drives, out, lap, old, topics, odometry, seed, workers, scheduler, align,
-                   settings)  # fmt: skip
+        job = _Job(drives, out, lap, _read_old(update), topics, odometry, seed, workers, scheduler,
+                   align, index, settings)  # fmt: skip
         _make(job, picture, layer, force=force)
-        if index:
-            with job.pool() as pool:
-                make_index(out, pool)
+
+
+def _read_old(update: Path | None) -> PoleMap | None:
+    if update is None:
+        return None
+    old = read_map(update, allow_empty=True)
+    for note in old.notes:
+        typer.echo(f"note: {update}: {note}")
+    return old
 
 
 def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -> None:
@@ -202,6 +203,9 @@ def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -
         clear(job.checkpoints)
     _show(built.pole_map, opened, job.settings, picture, layer)
     _say(built, opened, job.out)
+    if job.index:
+        with job.pool() as pool:
+            make_index(job.out, pool)
 
 
 def _build(job: _Job, drives: list[Drive]) -> BuiltMap:
