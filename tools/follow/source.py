@@ -29,7 +29,8 @@ from polemap.drivelog.readers.bags.described import (
     own_mapping,
 )
 from polemap.drivelog.readers.bags.files import is_log
-from polemap.drivelog.readers.bags.mapping import Mapping, read_mapping
+from polemap.drivelog.readers.bags.mapping import Mapping
+from polemap.drivelog.readers.bags.mapping_file import read_mapping
 from polemap.drivelog.readers.bags.reader import survey
 from polemap.drivelog.readers.drive_yaml import read_drive_yaml
 from polemap.drivelog.readers.poles import stated_view

@@ -20,13 +20,8 @@ from polemap.drivelog.readers.bags.clocks import compare_clocks, seconds
 from polemap.drivelog.readers.bags.frames import log_pictures, pair_pictures
 from polemap.drivelog.readers.bags.guess import Guess, is_video, pole_topic, used_topics
 from polemap.drivelog.readers.bags.index import LogIndex
-from polemap.drivelog.readers.bags.signals import (
-    Signals,
-    gnss_stream,
-    odometry_stream,
-    pole_scans,
-    reference_stream,
-)
+from polemap.drivelog.readers.bags.odometry_signals import odometry_stream
+from polemap.drivelog.readers.bags.signals import Signals, gnss_stream, pole_scans, reference_stream
 from polemap.drivelog.readers.bags.vehicle_frame import vehicle_frame
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 

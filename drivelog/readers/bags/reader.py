@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.readers.bags import mapping as m
 from polemap.drivelog.readers.bags.build import Build
 from polemap.drivelog.readers.bags.described import (
     HEAD,
@@ -22,6 +21,7 @@ from polemap.drivelog.readers.bags.files import is_log, open_containers
 from polemap.drivelog.readers.bags.guess import Guess, guess
 from polemap.drivelog.readers.bags.index import LogIndex, build_index
 from polemap.drivelog.readers.bags.kept_index import kept_or_walked
+from polemap.drivelog.readers.bags.mapping_file import check_topics, read_mapping
 from polemap.parsing.errors import named
 
 
@@ -59,13 +59,13 @@ def survey(path: Path, topics: Path | None = None) -> tuple[LogIndex, Guess]:
     Raises:
         InputError: no recording, damaged beyond reading, or mistakes in the mapping.
     """
-    told = m.read_mapping(topics) if topics is not None else None
+    told = read_mapping(topics) if topics is not None else None
     fields = tuple(sorted((told.fields() if told else {}).items()))
     with named(path, InputError, "recording"):
         files = open_containers(path)
         index = _indexed(files, tuple(_version(file.path) for file in files), fields)
     if told is not None and topics is not None:
-        m.check_topics(told, index, topics)
+        check_topics(told, index, topics)
     known = _described(path) if told is None else None
     if known is not None:
         return index, guess(index, own_mapping(index.topics, known.drive))

@@ -9,7 +9,8 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from polemap.drivelog.problems import inner_models
-from polemap.drivelog.readers.bags.mapping import SPEED_UNITS, TURN_UNITS, Mapping, read_mapping
+from polemap.drivelog.readers.bags.mapping import SPEED_UNITS, TURN_UNITS, Mapping
+from polemap.drivelog.readers.bags.mapping_file import read_mapping
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")
 

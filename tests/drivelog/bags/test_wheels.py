@@ -18,7 +18,8 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.live.growing import GrowingBytes
 from polemap.drivelog.live.mcap_stream import StreamMessage, read_stream
 from polemap.drivelog.live.topics import TopicSamples
-from polemap.drivelog.readers.bags.mapping import OdometryPart, Signal, read_mapping
+from polemap.drivelog.readers.bags.mapping import OdometryPart, Signal
+from polemap.drivelog.readers.bags.mapping_file import read_mapping
 from polemap.drivelog.readers.bags.reader import survey
 from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import OdometrySample
