@@ -57,6 +57,7 @@ RIGHT_M, RIGHT_DEG = 0.5, 1.0
 SCENARIO = PointScenario(
     gnss=None, detector=DetectorConfig(rate_hz=8.0, detected_share=SEEN, clutter_share=0.1)
 )
+PARK_LEFT_M = 100.0  # of the lap, from a start on
 BOUNDS = (0.5, 0.2, 0.1, 0.03, 0.01, 1e-3, 0.0)
 
 
@@ -192,7 +193,10 @@ def hidden_park() -> PoleMap:
 
 
 def park(count: int, out: Path | None = None) -> list[Start]:
-    """Starts along lap `test` of Victoria Park, where trees of lap `map` stand around the car."""
+    """Starts along lap `test` of Victoria Park, where trees of lap `map` stand around the car.
+
+    The last metres of the lap are left out: who starts there sees nothing more.
+    """
     drive, scans = open_drive(DRIVE).lap("test"), scans_of("test")
     assert drive.reference is not None
     assert drive.odometry is not None
@@ -202,7 +206,8 @@ def park(count: int, out: Path | None = None) -> list[Start]:
     place = reference.at(stamps)[:, :2]
     known = np.isfinite(place).all(axis=1)
     near = trees.query_ball_point(np.nan_to_num(place), NEAR_M, return_length=True)
-    possible = stamps[known & (near >= NEAR_TREES)]
+    way_m = np.cumsum(np.hypot(*np.diff(np.nan_to_num(place), axis=0, prepend=place[:1]).T))
+    possible = stamps[known & (near >= NEAR_TREES) & (way_m[-1] - way_m >= PARK_LEFT_M)]
     index, _ = build_index(hidden_park())
     starts = []
     for number, since_s in enumerate(possible[:: max(1, len(possible) // count)][:count]):

@@ -40,6 +40,7 @@ from polemap.localize.particle_filter.pole_weigher import (
 )
 from polemap.localize.particle_filter.recovery import Recovery, Step
 from polemap.localize.particle_filter.twins import TwinPoles
+from polemap.localize.place.claims import patterns_of
 from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import compose, relative, rotate, wrap_angle
@@ -92,6 +93,7 @@ class ParticleFilter:
         self._calibration = OdometryCalibration(config.odometry)
         self._noise = NoiseScale(config.odometry)
         self._recovery = Recovery(poles, config.recovery, receiver, self._weigher, rng, self.counts)
+        self._recovery.search.use_patterns(patterns_of(pole_map))
         self._fixes = FixWeights(receiver)
         self._wheelbase_m = wheelbase_m
         self._particles = ParticleSet(config, wheelbase_m, rng)
@@ -167,6 +169,7 @@ class ParticleFilter:
     def exchange_map(self, pole_map: PoleMap | CityMap) -> None:
         """Hold the next scans against another map of the same frame; see `Localizer`."""
         self._window.exchange(pole_map)
+        self._recovery.search.use_patterns(patterns_of(pole_map))
 
     def process_scan(self, scan: Detections) -> PfEstimate | None:
         """Move to the scan's stamp, weigh, explore, estimate, resample.
@@ -186,6 +189,7 @@ class ParticleFilter:
             self._calibration.forget()
             self._noise.reset()
             self.counts["stale_restarts"] += 1
+            self._recovery.search.forget_poles()
         odometry_pose = self._history.odometry_pose(stamp)
         travelled = self._history.travelled_m(stamp)
         if not self._window.whole:

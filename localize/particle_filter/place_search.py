@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,8 @@ from polemap.localize.particle_filter.estimate import position_sd
 from polemap.localize.particle_filter.exploration import draw_poses
 from polemap.localize.particle_filter.health import Verdict
 from polemap.localize.particle_filter.recent_poles import RecentPoles
+from polemap.localize.place.claims import PlaceClaims
+from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -42,6 +46,7 @@ class PlaceSearch:
     """Follows GNSS and the poles of the last metres, and draws poses from both on demand."""
 
     def __init__(self, pole_map: PoleMap, receiver: GnssReceiver) -> None:
+        self._claims: PlaceClaims | None = None
         self._receiver = receiver
         self._alignment = GnssAlignment(receiver)
         self._recent = RecentPoles()
@@ -65,6 +70,15 @@ class PlaceSearch:
         """Go on with other poles, of the same frame."""
         self._index = ConstellationIndex(pole_map)
 
+    def use_patterns(self, index: Callable[[], PatternIndex | None] | None) -> None:
+        """Search a large map by its patterns where no fix narrows the search, see `patterns_of`."""
+        if index is None:
+            self._claims = None
+        elif self._claims is None:
+            self._claims = PlaceClaims(index)
+        else:
+            self._claims.use_index(index)
+
     def add_fix(self, fix: GnssFix, odometry_pose: Floats) -> None:
         """Take in a fix and the dead-reckoned pose `(3,)` of its moment."""
         self._alignment.add_fix(fix, odometry_pose)
@@ -72,10 +86,14 @@ class PlaceSearch:
     def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> None:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
         self._recent.add_scan(scan, odometry_pose, travelled_m)
+        if self._claims is not None:
+            self._claims.add_scan(scan, odometry_pose, travelled_m)
 
     def forget_poles(self) -> None:
         """Odometry has failed: the poles of the last metres are no constellation any more."""
         self._recent = RecentPoles()
+        if self._claims is not None:
+            self._claims.forget()
 
     def draw_start(
         self, count: int, stamp_s: float, odometry_pose: Floats, rng: np.random.Generator
@@ -119,6 +137,11 @@ class PlaceSearch:
         self._searched_s = stamp_s
         gnss = self._gnss_pose(stamp_s, odometry_pose)
         candidates = self._search(odometry_pose, gnss, rng)
+        if gnss is None and self._claims is not None:
+            # of a city that is searched by its patterns, a claim alone says more than "open"
+            if not len(candidates):
+                return "open"
+            return "confirmed" if candidates.at(pose)[0] else "contradicted"
         own = self._index.judge(
             pose[np.newaxis],
             self._recent.around(odometry_pose),
@@ -162,6 +185,8 @@ class PlaceSearch:
     def _search(
         self, odometry_pose: Floats, gnss: GnssPose | None, rng: np.random.Generator
     ) -> Candidates:
+        if gnss is None and self._claims is not None:
+            return self._claimed(odometry_pose)
         points = self._recent.around(odometry_pose)
         # one less than a proof where a fix narrows the search: without one, chance matches abound
         least = self._enough(gnss) if gnss is None else self._enough(gnss) - 1
@@ -170,7 +195,7 @@ class PlaceSearch:
         reach = np.inf
         if gnss is not None:
             reach = max(_REACH_M, 3.0 * position_sd(gnss.covariance)[0])
-        return self._index.find(
+        found = self._index.find(
             points,
             tolerance_m=_TOLERANCE_M,
             min_poles=least,
@@ -178,6 +203,24 @@ class PlaceSearch:
             centre_m=None if gnss is None else gnss.pose[:2],
             reach_m=reach,
             against=self._against(gnss),
+        )
+        if len(found) and found.matched[0] >= self._enough(gnss):
+            return found
+        # nothing there looks like the way: the fix may be wrong
+        claimed = self._claimed(odometry_pose)
+        return claimed if len(claimed) else found
+
+    def _claimed(self, odometry_pose: Floats) -> Candidates:
+        """The place that the poles of the way claim, wherever it is; none in a small map."""
+        claim = None if self._claims is None else self._claims.claim(odometry_pose)
+        if claim is None:
+            return _NO_CANDIDATES
+        matched = np.array([claim.matched])
+        return Candidates(
+            claim.pose[np.newaxis],
+            matched,
+            matched.astype(np.float64),
+            claim.covariance[np.newaxis],
         )
 
     def _against(self, gnss: GnssPose | None) -> Against | None:

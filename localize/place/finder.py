@@ -77,21 +77,27 @@ class Search:
 
 
 class PlaceFinder:
-    """Finds the place of a car in a map by the poles along its way."""
+    """Finds the place of a car in a map by the poles along its way.
 
-    def __init__(self, index: PatternIndex) -> None:
+    Args:
+        index: of the map.
+        builder: follows the poles; one of its own by default.
+    """
+
+    def __init__(self, index: PatternIndex, builder: LocalMapBuilder | None = None) -> None:
         self._index = index
-        self._builder = LocalMapBuilder()
+        self._builder = builder or LocalMapBuilder()
         nothing = np.empty((0, 3)), np.zeros(3)
         self._carried = {False: nothing, True: nothing}
-        self._odometry_pose = np.zeros(3)
+
+    @property
+    def odometry_pose(self) -> Floats:
+        """The dead-reckoned pose `(3,)` of the newest scan, for which searches give the place."""
+        return self._builder.odometry_pose
 
     def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> bool:
         """Take in a scan from a dead-reckoned pose `(3,)`; False if the car has hardly moved."""
-        taken = self._builder.add_scan(scan, odometry_pose, travelled_m)
-        if taken:
-            self._odometry_pose = np.array(odometry_pose)
-        return taken
+        return self._builder.add_scan(scan, odometry_pose, travelled_m)
 
     def search(self) -> Search | None:
         """Where the car was at the newest scan; None while too few poles are known."""
@@ -99,7 +105,7 @@ class PlaceFinder:
         if local is None or len(local.confirmed()) < _FEWEST_POLES or not len(self._index):
             return None
         local = local.confirmed()
-        here = self._odometry_pose
+        here = self.odometry_pose
         found, evidence = self._ranked(local, False, here)
         search = Search(
             found.poses, evidence, found.covariance, found.matched, found.rows, local, -np.inf

@@ -127,6 +127,11 @@ class LocalMapBuilder:
         self._view: VisibleRegion | None = None
         self._seen = np.empty((0, 3))
 
+    @property
+    def odometry_pose(self) -> Floats:
+        """The dead-reckoned pose `(3,)` of the newest scan that was kept."""
+        return self._looks[-1].odometry_pose.copy() if self._looks else np.zeros(3)
+
     def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> bool:
         """Take in a scan from a dead-reckoned pose `(3,)`; False if the car has hardly moved."""
         if self._looks and abs(travelled_m - self._looks[-1].travelled_m) < _STEP_M:

@@ -6,6 +6,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol
 
@@ -16,6 +17,8 @@ from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame, transform_points
 from polemap.map.city.statistics import MapStatistics
 from polemap.map.crowds import check_crowds
+from polemap.map.pattern_index.index import PatternIndex
+from polemap.map.pattern_index.io import read_index
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -148,6 +151,8 @@ class CityMap:
         self._cache: OrderedDict[Key, Tile] = OrderedDict()
         self._cached = 0
         self._lock = Lock()
+        self._patterns: PatternIndex | None = None
+        self._patterns_asked = False
 
     def __len__(self) -> int:
         return self._store.statistics.poles
@@ -169,6 +174,20 @@ class CityMap:
     def kinds(self) -> tuple[int, ...]:
         """Every `LandmarkKind` that stands in the map."""
         return self._store.statistics.kinds
+
+    @property
+    def patterns(self) -> PatternIndex | None:
+        """The index of its pole patterns, where one of this map and frame stands beside it."""
+        if not self._patterns_asked:
+            self._patterns_asked = True
+            try:
+                found = read_index(Path(self.name))
+            except InputError as error:
+                _LOG.warning("%s", error)
+                found = None
+            if found is not None and found.frame == self.frame:
+                self._patterns = found
+        return self._patterns
 
     def area(self, boxes: ArrayLike) -> Area:
         """The poles in boxes `(k, 4)`; tiles that cannot be read are told of and left out."""

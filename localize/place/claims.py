@@ -1,0 +1,118 @@
+"""Places for the particle filter where no fix narrows the search: the poles of the way tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.localize.place.along import SEARCH_EVERY_M
+from polemap.localize.place.finder import WRONG_MOST, PlaceFinder
+from polemap.localize.place.local_map import WINDOW_M, LocalMapBuilder
+from polemap.map.city.city_map import CityMap
+from polemap.map.pattern_index.build import build_index
+from polemap.map.pattern_index.index import PatternIndex
+from polemap.map.pole_map import PoleMap
+from polemap.vehicle.pose import compose, relative
+
+Floats = NDArray[np.float64]
+
+PATTERNS_FROM = 1500
+"""Poles of a map in memory from which on its patterns are searched; of smaller ones all pairs."""
+# a car that was moved unknown to its odometry has poles of two places in the long window
+_SHORT_M = 50.0
+# a claim is carried by the odometry for so far
+_HOLDS_M = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A place that is taken for the car's.
+
+    Attributes:
+        pose: `(3,)` of the rear axle.
+        covariance: `(3, 3)`.
+        matched: poles of the way that stand on poles of the map.
+    """
+
+    pose: Floats
+    covariance: Floats
+    matched: int
+
+
+def patterns_of(pole_map: PoleMap | CityMap) -> Callable[[], PatternIndex | None] | None:
+    """What gives the index of a map when it is first needed; None for a small map.
+
+    A map in memory is indexed then; a city's index stands beside its file, or there is none.
+    """
+    if isinstance(pole_map, CityMap):
+        return lambda: pole_map.patterns
+    if len(pole_map) < PATTERNS_FROM:
+        return None
+    return lambda: build_index(pole_map)[0]
+
+
+class PlaceClaims:
+    """Follows the poles of the way and claims a place when it is asked for.
+
+    Args:
+        index: gives the map's index, or None where it has none.
+    """
+
+    def __init__(self, index: Callable[[], PatternIndex | None]) -> None:
+        self._index = index
+        self._builders = LocalMapBuilder(WINDOW_M), LocalMapBuilder(_SHORT_M)
+        self._finders: tuple[PlaceFinder, ...] | None = None
+        self._way_m = 0.0
+        self._searched_m = -np.inf
+        self._searches = 0
+        self._claim: Claim | None = None
+        self._claimed_at = np.zeros(3)
+        self._claimed_m = -np.inf
+
+    def use_index(self, index: Callable[[], PatternIndex | None]) -> None:
+        """Go on with the index of another map."""
+        self._index, self._finders, self._claim = index, None, None
+
+    def forget(self) -> None:
+        """The poles so far stand in no known relation to what comes."""
+        self._builders = LocalMapBuilder(WINDOW_M), LocalMapBuilder(_SHORT_M)
+        self._finders, self._claim = None, None
+
+    def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> None:
+        """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
+        self._way_m = travelled_m
+        poles = scan.of_kinds(LandmarkKind.POLE)
+        for builder in self._builders:
+            builder.add_scan(poles, odometry_pose, travelled_m)
+
+    def claim(self, odometry_pose: Floats) -> Claim | None:
+        """The car's place at a dead-reckoned pose `(3,)`; None while it may be elsewhere.
+
+        A search is made every few metres, in the long and in the short window in turn.
+        """
+        if self._way_m - self._searched_m >= SEARCH_EVERY_M:
+            self._search()
+        if self._claim is None or self._way_m - self._claimed_m > _HOLDS_M:
+            return None
+        moved = relative(self._claimed_at, odometry_pose)
+        return Claim(compose(self._claim.pose, moved), self._claim.covariance, self._claim.matched)
+
+    def _search(self) -> None:
+        if self._finders is None:
+            index = self._index()
+            if index is None:
+                return
+            self._finders = tuple(PlaceFinder(index, builder) for builder in self._builders)
+        self._searched_m = self._way_m
+        self._searches += 1
+        finder = self._finders[self._searches % 2]
+        search = finder.search()
+        if search is None or search.wrong > WRONG_MOST:
+            return
+        self._claim = Claim(search.poses[0], search.covariance[0], int(search.matched[0]))
+        self._claimed_at, self._claimed_m = finder.odometry_pose, self._way_m

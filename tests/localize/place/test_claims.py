@@ -1,0 +1,159 @@
+"""The filter in a town without GNSS, with wrong GNSS, and moved unknown to its odometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import GnssFix, OdometrySample
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.particle_filter.estimate import PfEstimate
+from polemap.localize.particle_filter.filter import ParticleFilter
+from polemap.localize.place.claims import PATTERNS_FROM, PlaceClaims, patterns_of
+from polemap.map.city.city_map import CityMap
+from polemap.map.city.io import open_city
+from polemap.map.io import write_map
+from polemap.map.pattern_index.io import index_file, write_index
+from polemap.map.pole_map import PoleMap
+from polemap.vehicle.pose import compose, relative
+from tests.localize.place.town import drive_in, index_of, town
+from tests.pole_maps import plain_map
+
+FEW = LocalizeConfig(particles=50)
+
+
+def driven(
+    pole_map: PoleMap | CityMap, seed: int, fixes: Iterable[GnssFix] = ()
+) -> tuple[list[PfEstimate], ParticleFilter]:
+    drive, _ = drive_in(0, seed)
+    made = ParticleFilter(pole_map, FEW, 2.7, np.random.default_rng(0))
+    samples = sorted([*drive.samples(), *fixes], key=lambda sample: sample.stamp_s)
+    estimates = []
+    for sample in samples:
+        if isinstance(sample, OdometrySample):
+            made.add_odometry(sample)
+        elif isinstance(sample, GnssFix):
+            made.add_fix(sample)
+        elif isinstance(sample, Detections):
+            estimate = made.process_scan(sample)
+            estimates += [] if estimate is None else [estimate]
+    return estimates, made
+
+
+def off_m(estimate: PfEstimate, seed: int) -> float:
+    truth = drive_in(0, seed)[1].at(estimate.stamp_s)[0]
+    return float(np.hypot(*(estimate.pose[:2] - truth[:2])))
+
+
+def town_map() -> PoleMap:
+    return town(0).surveyed(0.05, 0)
+
+
+def test_a_large_map_is_searched_by_its_patterns_where_there_is_no_gnss() -> None:
+    estimates, _ = driven(town_map(), 1)
+    assert estimates[0].stamp_s < 11.0
+    assert off_m(estimates[0], 1) < 2.0
+    assert all(off_m(estimate, 1) < 1.0 for estimate in estimates[8:])
+
+
+def test_a_fix_far_away_is_overruled_by_a_claim() -> None:
+    _, motion = drive_in(0, 1)
+    wrong = [
+        GnssFix(s, s, east + 400.0, north + 300.0, 1.0)
+        for s in np.arange(0.2, 12.0)
+        for east, north, _ in motion.at(s)
+    ]
+    estimates, _ = driven(town_map(), 1, wrong)
+    assert off_m(estimates[-1], 1) < 1.0
+
+
+def stored_city(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("polemap.map.city.stored.CITY_POLES", 1000)
+    monkeypatch.setattr("polemap.map.formats.geopackage.io.CITY_POLES", 1000, raising=False)
+    write_map(town_map(), folder / "town.gpkg")
+    return folder / "town.gpkg"
+
+
+def test_a_city_on_the_disk_is_searched_by_the_index_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = stored_city(tmp_path, monkeypatch)
+    city = open_city(file)
+    assert city is not None
+    assert city.patterns is None
+    write_index(town_map(), file)
+    city = open_city(file)
+    assert city is not None
+    estimates, _ = driven(city, 1)
+    assert off_m(estimates[-1], 1) < 1.0
+    assert city.patterns is not None
+
+
+def test_a_damaged_index_is_told_of_and_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = stored_city(tmp_path, monkeypatch)
+    write_index(town_map(), file)
+    index_file(file).write_bytes(index_file(file).read_bytes()[:-9])
+    city = open_city(file)
+    assert city is not None
+    assert city.patterns is None
+    assert "its head tells of" in caplog.text
+
+
+def claims_along(claims: PlaceClaims, seed: int, jump_s: float = np.inf) -> list[float]:
+    """How far claims are off along a drive; at a moment the car is put elsewhere, unseen."""
+    drive, motion = drive_in(0, seed)
+    other, elsewhere = drive_in(0, seed + 1)
+    errors = []
+    for scan, later in zip(drive.scans, other.scans, strict=False):
+        moved = scan.stamp_s >= jump_s
+        shown = replace(later, stamp_s=scan.stamp_s) if moved else scan
+        truth = (elsewhere if moved else motion).at(scan.stamp_s)[0]
+        # odometry without errors that knows nothing of the jump
+        told = relative(motion.at(0.0)[0], motion.at(scan.stamp_s)[0])
+        if moved:
+            before = relative(motion.at(0.0)[0], motion.at(jump_s)[0])
+            step = relative(elsewhere.at(jump_s)[0], truth)
+            told = compose(before, step)
+        claims.add_scan(shown, told, 8.0 * scan.stamp_s)
+        claim = claims.claim(told)
+        if claim is not None:
+            errors.append(float(np.hypot(*(claim.pose[:2] - truth[:2]))))
+    return errors
+
+
+def test_claims_are_right_and_carried_by_the_odometry() -> None:
+    errors = claims_along(PlaceClaims(index_of), 1)
+    assert len(errors) > 10
+    assert max(errors) < 0.7
+
+
+def test_a_car_that_was_moved_is_found_again() -> None:
+    errors = claims_along(PlaceClaims(index_of), 1, jump_s=6.0)
+    assert errors[-1] < 0.7
+
+
+def test_no_claim_without_an_index_and_after_forgetting() -> None:
+    assert claims_along(PlaceClaims(lambda: None), 1) == []
+    claims = PlaceClaims(index_of)
+    assert claims_along(claims, 1)
+    claims.forget()
+    assert claims.claim(np.zeros(3)) is None
+    claims.use_index(lambda: None)
+    assert claims.claim(np.zeros(3)) is None
+
+
+def test_small_maps_keep_their_own_search() -> None:
+    points = np.random.default_rng(0).uniform(0.0, 500.0, (PATTERNS_FROM, 2))
+    assert patterns_of(plain_map(points[:-1])) is None
+    index = patterns_of(plain_map(points))
+    assert index is not None
+    made = index()
+    assert made is not None
+    assert len(made) == PATTERNS_FROM
