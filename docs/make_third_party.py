@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 PAGE = Path(__file__).resolve().parent.parent / "THIRD_PARTY.md"
-EXTRAS = ("simulate", "report", "city", "gis", "bags", "viewer")
+EXTRAS = ("simulate", "report", "city", "gis", "bags", "viewer", "slam")
 HEAD = """# Third-party notices
 
 polemap is under the Apache License 2.0 ([LICENSE](LICENSE)). pip installs the packages below beside

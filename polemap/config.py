@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict
 
 from polemap.build.config import MappingConfig
+from polemap.build.slam.config import SlamConfig
 from polemap.detect.config import DetectionConfig
 from polemap.track.config import TrackingConfig
 
@@ -17,3 +18,4 @@ class PolemapConfig(BaseModel):
     detection: DetectionConfig = DetectionConfig()
     tracking: TrackingConfig = TrackingConfig()
     mapping: MappingConfig = MappingConfig()
+    slam: SlamConfig = SlamConfig()

@@ -27,6 +27,7 @@ EXTRA_OF = {
     "zstandard": "bags",
     "rerun": "viewer",
     "websockets": "viewer",
+    "gtsam": "slam",
 }
 
 

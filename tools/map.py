@@ -15,7 +15,7 @@ from polemap.build.city.cluster import open_cluster
 from polemap.build.city.io import clear
 from polemap.build.city.tiles import TILE_M
 from polemap.build.city.work import DriveTask, observe_all, on_workers
-from polemap.drivelog.atomic import check_files, reserved
+from polemap.drivelog.atomic import check_files, check_folder, reserved
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.jobs import LocalWorkers, Workers
@@ -30,6 +30,14 @@ from polemap.tools.map_picture import (
     draw_map,
     route_localizability,
     write_localizability,
+)
+from polemap.tools.map_slam import (
+    KIND,
+    build_without_reference,
+    check_slam,
+    lacks_reference,
+    slam_sentences,
+    write_poses,
 )
 from polemap.tools.map_worker import observe_task, scan
 from polemap.tools.option_types import (
@@ -61,6 +69,8 @@ class _Job:
     scheduler: str | None
     align: bool
     index: bool
+    slam: bool
+    poses: Path | None
     settings: Settings
 
     @property
@@ -97,7 +107,7 @@ class _Job:
 def command(
     drives: Annotated[
         list[Path] | None,
-        typer.Argument(help="Drives of any kind with reference poses; two maps with --diff."),
+        typer.Argument(help="Drives of any kind; two maps with --diff."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Map to write: .gpkg, .geojson or .parquet.")
@@ -109,6 +119,14 @@ def command(
     align: Annotated[
         bool, typer.Option("--align", help="Lay drives onto each other before merging.")
     ] = False,
+    slam: Annotated[
+        bool,
+        typer.Option("--slam", help="Solve for the poses too, as where a drive has no reference."),
+    ] = False,
+    poses: Annotated[
+        Path | None,
+        typer.Option("--poses", help="Folder for the poses that were solved for, as TUM and CSV."),
+    ] = None,
     diff: Annotated[
         bool, typer.Option("--diff", help="Compare two maps instead: polemap map --diff A B.")
     ] = False,
@@ -139,7 +157,7 @@ def command(
     config: ConfigOption = None,
     set_values: SetOption = None,
 ) -> None:
-    """Build one pole map from one or many drives that have reference poses.
+    """Build one pole map from one or many drives, with reference poses or without.
 
     Examples:
         polemap map drives/monday --out campus.gpkg
@@ -147,12 +165,14 @@ def command(
         polemap map drives/tuesday drives/friday --update campus.gpkg --align --out campus.gpkg
         polemap map drives/* --workers 8 --out city.parquet --index
         polemap map drives/monday --out a.gpkg --picture a.png --localizability route.geojson
+        polemap map drives/taxi --slam --poses poses --out campus.gpkg
         polemap map --diff campus_old.gpkg campus.gpkg --out changes.geojson
         polemap map --convert lamps.osm --out lamps.gpkg
         polemap map --convert campus.gpkg --out campus.xodr
 
     The ending of --out chooses the format. Poles that were seen too seldom for how often they were
-    in view are left out; `docs/maps.md` has the rules and the columns.
+    in view are left out; `docs/maps.md` has the rules and the columns. A drive without reference
+    poses needs odometry, and GNSS if the map is to lie on the earth; `docs/slam.md`.
     """
     check_files([out, picture, layer], [*(drives or []), convert, config, topics])
     # a map may be brought up to date in its place, pictures of it may not stand there
@@ -172,10 +192,12 @@ def command(
         raise InputError("--out is missing: it names the map to write, such as campus.gpkg")
     check_writable(out)
     check_picture(picture)
+    if poses is not None:
+        check_folder(poses, KIND, drives)
     with reserved(out):
         # the map keeps its own zone: drives come to it
         job = _Job(drives, out, lap, _read_old(update), topics, odometry, seed, workers, scheduler,
-                   align, index, settings)  # fmt: skip
+                   align, index, slam, poses, settings)  # fmt: skip
         _make(job, picture, layer, force=force)
 
 
@@ -192,16 +214,28 @@ def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -
     opened = job.drives()
     for drive in opened:
         require_plausible(drive.name, find(drive), force=force)
-    built = job.build(opened)
+    solved = None
+    if job.slam or any(map(lacks_reference, opened)):
+        check_slam(opened, job.old, not job.is_serial, asked=job.slam)
+        solved = build_without_reference(opened, job.settings, align=job.align)
+        built, opened = solved.built, list(solved.drives)
+    elif job.poses is not None:
+        raise InputError("--poses writes what --slam solves for; these drives have a reference")
+    else:
+        built = job.build(opened)
     if not len(built.pole_map):
         raise InputError(
             f"no pole was found in {len(opened)} drives, {job.out} was not written; try a lower "
             "--set polemap.mapping.observations_min"
         )
+    if solved is not None and job.poses is not None:
+        write_poses(job.poses, unique_names(opened), solved.result)
     write_map(built.pole_map, job.out)
     if job.checkpoints.is_dir():
         clear(job.checkpoints)
     _show(built.pole_map, opened, job.settings, picture, layer)
+    for line in slam_sentences(solved.result) if solved is not None else ():
+        typer.echo(line)
     _say(built, opened, job.out)
     if job.index:
         with job.pool() as pool:

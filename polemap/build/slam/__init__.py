@@ -1,0 +1,1 @@
+"""Maps without reference poses: poles, poses, odometry calibration and GNSS errors in one graph."""

@@ -1,0 +1,94 @@
+"""How well poses and poles are known: to the earth, and to the poles beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from polemap.build.slam.graph import Graph
+from polemap.build.slam.problem import Solution
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+_CHUNK = 60  # anchors whose joint covariance is computed at once
+_NO_POLE_M = 60.0  # a pose without a pole so near is known to the earth only
+
+
+@dataclass(frozen=True, slots=True)
+class Precision:
+    """Of poses, by keyframe through all routes.
+
+    Attributes:
+        absolute: `(n, 3, 3)` covariance in the map's axes.
+        relative_sd_m: `(n,)` an axis, of the place against the nearest pole.
+    """
+
+    absolute: Floats
+    relative_sd_m: Floats
+
+
+def pose_precision(graph: Graph, solution: Solution, anchors: Whole, starts: Whole) -> Precision:
+    """Precision at the anchors (sorted keyframes), spread over the keyframes between them.
+
+    Args:
+        graph: as solved.
+        solution: of it.
+        anchors: `(k,)` keyframes at which it is computed, at least one a route.
+        starts: first keyframe of each route, and their number.
+    """
+    covariance = np.empty((len(anchors), 3, 3))
+    relative = np.empty(len(anchors))
+    places = solution.poses[anchors, :2]
+    points = solution.points_m
+    gap, nearest = (
+        KDTree(points).query(places) if len(points) else (np.full(len(anchors), np.inf), None)
+    )
+    for begin in range(0, len(anchors), _CHUNK):
+        rows = np.arange(begin, min(begin + _CHUNK, len(anchors)))
+        near = np.asarray(gap)[rows] <= _NO_POLE_M
+        chosen = np.asarray(nearest)[rows[near]] if nearest is not None else rows[:0]
+        beside, where = np.unique(chosen, return_inverse=True)
+        joint = graph.covariance(anchors[rows], beside.astype(np.int64))
+        count = 3 * len(rows)
+        column = np.zeros(len(rows), dtype=np.int64)
+        column[near] = count + 2 * where
+        for k, anchor in enumerate(rows.tolist()):
+            own = joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+            covariance[anchor] = own
+            spread = own[:2, :2]
+            if near[k]:
+                pose, pole = slice(3 * k, 3 * k + 2), slice(column[k], column[k] + 2)
+                cross = joint[pose, pole]
+                spread = spread + joint[pole, pole] - cross - cross.T
+            relative[anchor] = np.sqrt(max(float(np.trace(spread)) / 2.0, 1e-6))
+    keyframes = np.arange(starts[-1])
+    row = _before(anchors, keyframes, starts)
+    after = np.minimum(row + 1, len(anchors) - 1)
+    route = np.searchsorted(starts, anchors, side="right")
+    after = np.where(route[after] == route[row], after, row)
+    length = anchors[after] - anchors[row]
+    share = np.clip((keyframes - anchors[row]) / np.where(length > 0, length, 1), 0.0, 1.0)
+    mixed = covariance[row] + share[:, None, None] * (covariance[after] - covariance[row])
+    return Precision(mixed, relative[row] + share * (relative[after] - relative[row]))
+
+
+def _before(anchors: Whole, keyframes: Whole, starts: Whole) -> Whole:
+    """The last anchor of the same route at or before each keyframe, else the route's first."""
+    row = np.searchsorted(anchors, keyframes, side="right") - 1
+    first = np.searchsorted(anchors, starts[:-1])
+    route = np.searchsorted(starts, keyframes, side="right") - 1
+    return np.maximum(row, first[route]).astype(np.int64)
+
+
+def anchor_keyframes(starts: Whole, submaps: Whole, every: int) -> Whole:
+    """Anchors of local maps, the first and last keyframe of each route, and every so many."""
+    own = [submaps]
+    for first, end in pairwise(starts.tolist()):
+        own.append(np.arange(first, end, max(every, 1)))
+        own.append(np.array([first, end - 1]))
+    return np.unique(np.concatenate(own)).astype(np.int64)

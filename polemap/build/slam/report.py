@@ -1,0 +1,119 @@
+"""What building without a reference found out, in figures and in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.build.slam.motion import CALIBRATION, SLIP
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSummary:
+    """Figures of one drive.
+
+    Attributes:
+        way_m: length; fixes, fixes_left_out: used, and given no weight as outliers.
+        fix_residual_m: median distance of a fix from the solved antenna, NaN without fixes.
+        absolute_sd_m, relative_sd_m: expected, an axis: median and largest along the route.
+        calibration: found for the odometry, mean over the drive, by name.
+    """
+
+    drive: str
+    way_m: float
+    fixes: int
+    fixes_left_out: int
+    fix_residual_m: float
+    absolute_sd_m: tuple[float, float]
+    relative_sd_m: tuple[float, float]
+    calibration: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SlamSummary:
+    """Figures of the whole.
+
+    Attributes:
+        loops, loops_taken_back, loops_ambiguous: places seen again, those that the rest
+            contradicted, and matches that were left as two places would have served.
+        detection_residual_m: median distance of a detection from its pole.
+        links, links_given_up: passes that were joined to poles, and those that did not fit.
+        gnss_sd_m, gnss_correlation_s: of the fixes at HDOP 1, as measured.
+        absolute: whether fixes tie the map to the earth.
+    """
+
+    drives: tuple[DriveSummary, ...]
+    loops: int
+    loops_taken_back: int
+    loops_ambiguous: int
+    detection_residual_m: float
+    links: int
+    links_given_up: int
+    gnss_sd_m: float
+    gnss_correlation_s: float
+    absolute: bool
+
+    def as_dict(self) -> dict[str, object]:
+        """The figures for a JSON file; NaN is null."""
+        return _plain(asdict(self))  # type: ignore[return-value]
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return round(value, 6) if np.isfinite(value) else None
+    return value
+
+
+def sentences(summary: SlamSummary) -> tuple[str, ...]:
+    """The section "built without reference" for a terminal."""
+    lines = ["built without reference:"]
+    for part in summary.drives:
+        fixes = (
+            f"{part.fixes} fixes, {part.fix_residual_m:.2f} m from them (median), "
+            f"{part.fixes_left_out} left out"
+            if part.fixes
+            else "no fixes"
+        )
+        lines.append(f"  {part.drive}: {part.way_m:.0f} m, {fixes}")
+        lines.append(
+            f"    expected: to the poles beside it {_pair(part.relative_sd_m)}"
+            + (f", to the earth {_pair(part.absolute_sd_m)}" if summary.absolute else "")
+            + " (1 sd an axis, median and largest)"
+        )
+        lines.append("    odometry: " + _calibration(part.calibration))
+    lines.append(
+        f"  {summary.loops} loops closed, {summary.loops_taken_back} taken back, "
+        f"{summary.loops_ambiguous} left as ambiguous; detections "
+        f"{summary.detection_residual_m:.2f} m from their poles (median); "
+        f"{summary.links_given_up} of {summary.links} passes of poles given up"
+    )
+    if summary.absolute:
+        lines.append(
+            f"  GNSS as measured: {summary.gnss_sd_m:.2f} m an axis at HDOP 1, lasting "
+            f"{summary.gnss_correlation_s:.0f} s"
+        )
+    else:
+        lines.append("  no drive has a fix: the map stands in a local frame that begins at the car")
+    return tuple(lines)
+
+
+def _pair(values: Sequence[float]) -> str:
+    return f"{values[0]:.2f} and {values[1]:.2f} m"
+
+
+def _calibration(found: dict[str, float]) -> str:
+    scale, turn, rate, curvature, yaw, slip = (found[name] for name in CALIBRATION)
+    return (
+        f"speed {100.0 * scale:+.2f} %, yaw rate {100.0 * turn:+.2f} % {np.degrees(rate):+.3f} "
+        f"deg/s, curvature {curvature:+.5f} 1/m, detector's yaw to the way "
+        f"{np.degrees(-yaw):+.2f} deg, slip {SLIP + slip:.4f} rad per m/s^2"
+    )

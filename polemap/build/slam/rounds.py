@@ -1,0 +1,190 @@
+"""Rounds of association and solving: single passes, then loops, then poles that passes share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.build.config import MappingConfig
+from polemap.build.slam.association import Seen, poles, see
+from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.graph import LINK_SCALE, Graph
+from polemap.build.slam.loops import Found, Loop, find_loops
+from polemap.build.slam.noise import Noise, measure_noise
+from polemap.build.slam.problem import Problem, Solution
+from polemap.build.slam.route import Route
+from polemap.build.slam.submaps import Submap, cut_submaps
+from polemap.build.slam.tables import NO_LINKS, build_problem, calibration_sd, pose_starts
+from polemap.build.slam.windows import in_windows
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.frames import EarthFrame
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+_STEPS = 10
+_WINDOW_ROUNDS = 3
+_SETTLED_M, _SETTLED_RAD = 0.01, 0.001
+_SCALES = (20.0 * LINK_SCALE, 5.0 * LINK_SCALE)
+_BROKEN_WEIGHT = 0.25  # of a link that its kernel has given up
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What is known after a round."""
+
+    routes: tuple[Route, ...]
+    seen: Seen
+    noise: Noise
+    problem: Problem
+    solution: Solution
+    graph: Graph
+
+
+class Builder:
+    """The rounds over the same drives; see the module."""
+
+    def __init__(
+        self,
+        scans: Sequence[Sequence[Detections]],
+        mapping: MappingConfig,
+        config: SlamConfig,
+        frame: EarthFrame,
+    ) -> None:
+        self._scans = scans
+        self._mapping = mapping
+        self._config = config
+        self._frame = frame
+
+    def associate(self, routes: Sequence[Route]) -> Seen:
+        return see(routes, self._scans, self._mapping, self._frame)
+
+    def solve(
+        self,
+        routes: Sequence[Route],
+        seen: Seen,
+        noise: Noise,
+        link: Whole = NO_LINKS,
+        extra_m: Floats | None = None,
+        scales: Sequence[float] = (),
+        steps: int = _STEPS,
+    ) -> State:
+        """Solve, with links that pull from afar first where `scales` says so."""
+        sds = (calibration_sd(self._config), self._config.calibration_walk)
+        problem = build_problem(routes, seen.sightings, link, self._config, noise, extra_m=extra_m)
+        for scale in scales:
+            begun = Graph(problem, sds, scale).solve(4)
+            problem = replace(problem, poses=begun.poses, points_m=begun.points_m)
+        graph = Graph(problem, sds)
+        solution = graph.solve(steps)
+        return State(tuple(_moved(routes, solution)), seen, noise, problem, solution, graph)
+
+    def measured(self, state: State) -> Noise:
+        """The noise that the residuals of a state show."""
+        fix_s = np.concatenate([route.fix_s for route in state.routes])
+        hdop = np.concatenate([route.hdop for route in state.routes])
+        return measure_noise(state.problem, state.solution, state.noise, fix_s, hdop, self._config)
+
+    def calibrate(self, routes: Sequence[Route], noise: Noise) -> list[Route]:
+        """Routes dead reckoned anew with the calibration that poles alone show."""
+        sds = (calibration_sd(self._config), self._config.calibration_walk)
+        routes = list(routes)
+        for _ in range(_WINDOW_ROUNDS):
+            seen = self.associate(routes)
+            problem = build_problem(routes, seen.sightings, NO_LINKS, self._config, noise)
+            solution = Graph(in_windows(problem, routes), sds).solve(_STEPS)
+            routes = [route.reckoned() for route in _moved(routes, solution)]
+        return routes
+
+
+def _moved(routes: Sequence[Route], solution: Solution) -> list[Route]:
+    poses = pose_starts(routes)
+    rows = np.cumsum([0, *(len(route.calibration) for route in routes)])
+    return [
+        replace(route, poses=solution.poses[a:b]).with_calibration(solution.calibration[c:d])
+        for route, a, b, c, d in zip(routes, poses, poses[1:], rows, rows[1:], strict=False)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """What became of the loops: `(closed, taken back, ambiguous)` and the rounds that it took."""
+
+    loops: int
+    taken_back: int
+    ambiguous: int
+    rounds: int
+
+
+def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[State, Closed]:
+    """Find loops and solve, until no new one is found and none is given up."""
+    loops: dict[tuple[int, int], Loop] = {}
+    refused: dict[tuple[int, int], int] = {}
+    taken_back = ambiguous = rounds = 0
+    seen = state.seen
+    for rounds in range(1, config.rounds_max + 1):  # noqa: B007
+        submaps = submaps_of(state, config)
+        anchors = np.array([submap.anchor for submap in submaps], dtype=np.int64)
+        covariance = state.graph.covariance(anchors, np.empty(0, dtype=np.int64))
+        known = set(loops) | {pair for pair, times in refused.items() if times >= 2}
+        found = find_loops(submaps, state.solution.poses[anchors], covariance, config, known)
+        ambiguous = found.ambiguous
+        loops |= {(loop.first, loop.second): loop for loop in found.loops}
+        if not found.loops:
+            break
+        links = Found(tuple(loops.values()), 0, 0).links()
+        start = replace(seen.sightings, start_m=state.solution.points_m)
+        begun = replace(seen, sightings=start)
+        level = builder.measured(state)
+        state = builder.solve(state.routes, begun, level, links, scales=_SCALES)
+        broken = _broken(loops, links, state.solution)
+        for pair in broken:
+            refused[pair] = refused.get(pair, 0) + 1
+            taken_back += 1
+            del loops[pair]
+        if not broken and not found.at_odds and not found.unreached:
+            break
+    return state, Closed(len(loops), taken_back, ambiguous, rounds)
+
+
+def _broken(
+    loops: dict[tuple[int, int], Loop], links: Whole, solution: Solution
+) -> list[tuple[int, int]]:
+    """Loops of which the kernels gave up most links."""
+    weight = {
+        tuple(pair): w
+        for pair, w in zip(links.tolist(), solution.link_weight.tolist(), strict=True)
+    }
+    broken = []
+    for pair, loop in loops.items():
+        rows = np.sort(loop.landmarks, axis=1).tolist()
+        weights = [weight[tuple(row)] for row in rows if row[0] != row[1]]
+        if weights and float(np.median(weights)) < _BROKEN_WEIGHT:
+            broken.append(pair)
+    return broken
+
+
+def submaps_of(state: State, config: SlamConfig) -> list[Submap]:
+    landmarks = state.seen.landmarks
+    return cut_submaps(
+        state.routes, state.seen.sightings, state.solution.points_m, landmarks.width_m,
+        landmarks.kind, config,
+    )  # fmt: skip
+
+
+def settle(builder: Builder, state: State, config: SlamConfig) -> State:
+    """Join passes to poles and solve, until the poses stay where they are."""
+    for _ in range(config.rounds_max):
+        seen = builder.associate(state.routes)
+        points, link = poles(seen, builder._mapping)
+        after = builder.solve(state.routes, seen, builder.measured(state), link, points)
+        move = np.abs(after.solution.poses - np.concatenate([r.poses for r in state.routes]))
+        state = after
+        if not len(move) or (
+            move[:, :2].max() < _SETTLED_M and np.quantile(move[:, 2], 0.99) < _SETTLED_RAD
+        ):
+            break
+    return state

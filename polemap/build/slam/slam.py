@@ -1,0 +1,223 @@
+"""Poses and poles without a reference, on one screen.
+
+odometry and GNSS -> routes -> landmarks of single passes -> loops -> poles -> poses with covariance
+
+The poses then serve map building as any reference does (`build_map`), with what they are known to
+against the poles beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from polemap.build.config import MappingConfig
+from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.initial import FIXES_MIN, lay_on_fixes
+from polemap.build.slam.motion import CALIBRATION, MotionNoise
+from polemap.build.slam.noise import seen_residuals, stated_noise
+from polemap.build.slam.precision import Precision, anchor_keyframes, pose_precision
+from polemap.build.slam.report import DriveSummary, SlamSummary
+from polemap.build.slam.rounds import Builder, Closed, State, close_loops, settle, submaps_of
+from polemap.build.slam.route import Route, as_reference, open_route
+from polemap.build.slam.tables import pose_starts
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.streams import ReferenceStream
+from polemap.map.pole_map import PoleMap
+from polemap.vehicle.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+_LOCAL_ROUNDS = 2
+_GRID_S = 0.1  # of the poses that are written, beside the scans
+_SHIFT_M = 1000.0  # coordinates of a grid are solved near the origin, where they keep their digits
+_OUTLIER_WEIGHT = 0.1
+_POLE_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class SlamResult:
+    """Solved drives, in the order in which they were given.
+
+    Attributes:
+        frame: of the poses; a local one of the first drive where no drive has a fix.
+        references: as a reference for map building; `sd_m` against the poles beside.
+        trajectories: the same poses with their covariance to the earth (without fixes: to the
+            first pose).
+        summary: figures.
+    """
+
+    frame: EarthFrame
+    references: tuple[ReferenceStream, ...]
+    trajectories: tuple[Trajectory, ...]
+    summary: SlamSummary
+    _state: State
+    _shift_m: Floats
+
+    def absolute_columns(self, pole_map: PoleMap) -> dict[str, Floats]:
+        """Columns of a map that was built from these drives: covariance to the earth `(n,)`.
+
+        `absolute_var_east_m2`, `absolute_var_north_m2`, `absolute_cov_east_north_m2`; NaN for a
+        pole that the graph did not hold.
+        """
+        covariance = np.full((len(pole_map), 2, 2), np.nan)
+        points = self._state.solution.points_m
+        if len(points) and len(pole_map):
+            # poles of several passes stand last, and count before the passes themselves
+            distance, row = KDTree(points).query(pole_map.points_m - self._shift_m)
+            near = np.flatnonzero(distance <= _POLE_M)
+            own = self._state.graph.landmark_covariance(np.asarray(row)[near].astype(np.int64))
+            covariance[near] = own
+        return {
+            "absolute_var_east_m2": covariance[:, 0, 0],
+            "absolute_var_north_m2": covariance[:, 1, 1],
+            "absolute_cov_east_north_m2": covariance[:, 0, 1],
+        }
+
+
+def solve_slam(
+    drives: Sequence[tuple[str, Drive]],
+    scans: Sequence[Sequence[Detections]],
+    mapping: MappingConfig,
+    config: SlamConfig,
+    noise: MotionNoise,
+    frame: EarthFrame,
+) -> SlamResult:
+    """Solve poses, poles, odometry calibration and GNSS errors of all drives together.
+
+    Args:
+        drives: with their names in the map.
+        scans: poles seen on each drive.
+        mapping: settings of map building, whose association serves here too.
+        config: settings.
+        noise: of the odometry.
+        frame: of the map; taken only where a drive has fixes.
+
+    Raises:
+        InputError: a drive without odometry, without movement or without scans; several drives, of
+            which one has no fix.
+        FrameError: no transformation leads from a drive's frame to `frame`.
+        MissingExtraError: gtsam is not installed.
+    """
+    frame, shift = _origin(drives, frame)
+    opened = [open_route(name, drive, frame, shift, config, noise) for name, drive in drives]
+    _check(opened, scans, config)
+    routes: Sequence[Route] = [lay_on_fixes(route, config) for route in opened]
+    builder = Builder(scans, mapping, config, frame)
+    level = stated_noise(config)
+    if any(len(route.fix_s) < FIXES_MIN for route in routes):
+        routes = builder.calibrate(routes, level)
+    state = builder.solve(routes, builder.associate(routes), level)
+    for _ in range(1, _LOCAL_ROUNDS):
+        seen = builder.associate(state.routes)
+        state = builder.solve(state.routes, seen, builder.measured(state))
+    state, closed = close_loops(builder, state, config)
+    state = settle(builder, state, config)
+    return _result(state, closed, scans, frame, shift, config)
+
+
+def _origin(drives: Sequence[tuple[str, Drive]], frame: EarthFrame) -> tuple[EarthFrame, Floats]:
+    """The frame that the graph is tied to, and where its own origin lies in it."""
+    fixed = [drive for _, drive in drives if drive.gnss is not None and len(drive.gnss)]
+    if not fixed:
+        return EarthFrame("local", name=drives[0][0]), np.zeros(2)
+    gnss = fixed[0].gnss
+    assert gnss is not None
+    middle = np.array([np.median(gnss.east_m), np.median(gnss.north_m)])
+    return frame, np.round(middle / _SHIFT_M) * _SHIFT_M if fixed[0].frame == frame else np.zeros(2)
+
+
+def _check(
+    routes: Sequence[Route], scans: Sequence[Sequence[Detections]], config: SlamConfig
+) -> None:
+    for route, part in zip(routes, scans, strict=True):
+        if not len(part):
+            raise InputError(
+                f"drive {route.name}: it has no scan; a map needs poles that were seen"
+            )
+        if route.path.travelled_m[-1] < config.keyframe_m:
+            raise InputError(
+                f"drive {route.name}: its odometry says that the car stood still; without a "
+                "reference a map needs a car that moves"
+            )
+    without = [route.name for route in routes if not len(route.fix_s)]
+    if without and len(routes) > 1:
+        raise InputError(
+            f"drive {without[0]}: it has no GNSS fix, so that nothing says where it lies to the "
+            "other drives; build its map by itself, or --update theirs with it"
+        )
+
+
+def _result(
+    state: State,
+    closed: Closed,
+    scans: Sequence[Sequence[Detections]],
+    frame: EarthFrame,
+    shift: Floats,
+    config: SlamConfig,
+) -> SlamResult:
+    starts = pose_starts(state.routes)
+    submaps = np.array([submap.anchor for submap in submaps_of(state, config)], dtype=np.int64)
+    every = round(config.submap_m / config.keyframe_m)
+    anchors = anchor_keyframes(starts, submaps, every)
+    precision = pose_precision(state.graph, state.solution, anchors, starts)
+    references, trajectories = [], []
+    for number, (route, part) in enumerate(zip(state.routes, scans, strict=True)):
+        rows = slice(int(starts[number]), int(starts[number + 1]))
+        looked = np.array([scan.stamp_s for scan in part])
+        grid = np.arange(route.stamp_s[0], route.stamp_s[-1], _GRID_S)
+        inside = (looked >= route.stamp_s[0] - 0.5) & (looked <= route.stamp_s[-1] + 0.5)
+        stamps = np.unique(np.concatenate([looked[inside], grid, route.stamp_s[-1:]]))
+        reference = as_reference(route, stamps, shift, precision.relative_sd_m[rows])
+        references.append(reference)
+        low = np.clip(np.searchsorted(route.stamp_s, stamps, side="right") - 1, 0, len(route) - 1)
+        trajectories.append(Trajectory(stamps, reference.poses, precision.absolute[rows][low]))
+    summary = _summary(state, closed, precision, starts)
+    return SlamResult(frame, tuple(references), tuple(trajectories), summary, state, shift)
+
+
+def _summary(state: State, closed: Closed, precision: Precision, starts: Whole) -> SlamSummary:
+    problem, solution = state.problem, state.solution
+    residual = np.hypot(*seen_residuals(problem, solution).T) if len(problem.seen) else np.empty(0)
+    place = np.sqrt(np.trace(precision.absolute[:, :2, :2], axis1=1, axis2=2) / 2.0)
+    parts, first = [], 0
+    off = solution.fix_residual_m
+    for number, route in enumerate(state.routes):
+        rows = slice(int(starts[number]), int(starts[number + 1]))
+        fixes = slice(first, first + len(route.fix_s))
+        first += len(route.fix_s)
+        relative = precision.relative_sd_m[rows]
+        way = float(np.sum(np.hypot(*np.diff(route.poses[:, :2], axis=0).T)))
+        parts.append(
+            DriveSummary(
+                drive=route.name,
+                way_m=way,
+                fixes=len(route.fix_s),
+                fixes_left_out=int(np.count_nonzero(solution.fix_weight[fixes] < _OUTLIER_WEIGHT)),
+                fix_residual_m=float(np.median(off[fixes])) if len(route.fix_s) else float("nan"),
+                absolute_sd_m=(float(np.median(place[rows])), float(place[rows].max())),
+                relative_sd_m=(float(np.median(relative)), float(relative.max())),
+                calibration=dict(zip(CALIBRATION, route.calibration.mean(axis=0), strict=True)),
+            )
+        )
+    given_up = int(np.count_nonzero(solution.link_weight < 0.25))
+    return SlamSummary(
+        drives=tuple(parts),
+        loops=closed.loops,
+        loops_taken_back=closed.taken_back,
+        loops_ambiguous=closed.ambiguous,
+        detection_residual_m=float(np.median(residual)) if len(residual) else float("nan"),
+        links=len(problem.link),
+        links_given_up=given_up,
+        gnss_sd_m=state.noise.fix_sd_m,
+        gnss_correlation_s=state.noise.fix_correlation_s,
+        absolute=any(len(route.fix_s) for route in state.routes),
+    )
