@@ -109,7 +109,9 @@ def _from_runs(runs: Sequence[Run]) -> Iterator[Figure]:
         yield Figure(f"{stated:.2f} m", "position deviation that the output states (median)")
     factor = _mean([run.metrics.get("real_time_factor") for run in runs])
     if np.isfinite(factor):
-        yield Figure(f"{factor:.1f} ×", "real time: seconds of driving in a second of computing")
+        # a busy machine or large pictures may take seconds a frame
+        shown = f"{factor:.1f}" if factor >= 1.0 else f"{factor:.2g}"
+        yield Figure(f"{shown} ×", "real time: seconds of driving in a second of computing")
 
 
 def _repeatability(result: RouteResult) -> Iterator[Figure]:

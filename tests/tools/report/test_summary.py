@@ -51,6 +51,8 @@ def test_figures_are_those_that_localize_prints() -> None:
     assert list(values)[:3] == ["0.03 m", "0.06 m", "0.34°"]
     assert "against the truth" in values["0.03 m"]
     assert "seconds of driving" in values["4.1 ×"]
+    (slow,) = opening.summarise([route([run_with("trustworthy", real_time_factor=0.0312)])])
+    assert "0.031 ×" in {figure.value for figure in slow.figures}
     assert values["50 %"] == "of the output was called healthy"
 
 
