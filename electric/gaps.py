@@ -48,6 +48,7 @@ def play_parts(
     log: SignalLog,
     *,
     steering_offset_rad: float = 0.0,
+    steering_scale: float = 1.0,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Played, Counter[str]]:
     """Play a log with a new estimator after every gap.
@@ -74,6 +75,7 @@ def play_parts(
             estimator,
             log.between(start, end),
             steering_offset_rad=steering_offset_rad,
+            steering_scale=steering_scale,
             progress=progress,
         )
         means.append(part.mean)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.units import ANGLE_UNITS, SPEED_UNITS, named_unit
+from polemap.electric.clock_rate import stretched_clock
 from polemap.electric.gaps import find_gaps
 from polemap.electric.signals import SignalLog
 from polemap.vehicle.parameters import Car
@@ -29,7 +30,7 @@ _SPEED_MAX_MPS, _YAW_RATE_MAX_RADPS, _ANGLE_MAX_RAD = 100.0, 3.0, 1.0
 
 def check_log(log: SignalLog, car: Car) -> list[Finding]:
     """What in a signal log cannot be right."""
-    found = _gaps(log) + _ranges(log)
+    found = _gaps(log) + _clock_rate(log) + _ranges(log)
     ranged = {finding.stream for finding in found if finding.severity == "error"}
     for check in (_lateral, _steering, _longitudinal, _speeds, _course, _sideslip):
         found += [finding for finding in check(log, car) if finding.stream not in ranged]
@@ -57,6 +58,20 @@ def _gaps(log: SignalLog) -> list[Finding]:
             "gap", "warning", "stamp_s",
             f"{len(gaps)} gaps, the longest {longest.length_s:.2f} s from {longest.from_s:.3f} s",
             "rows without gaps", "the estimator begins anew after each; cut the log there",
+        )
+    ]  # fmt: skip
+
+
+def _clock_rate(log: SignalLog) -> list[Finding]:
+    clock = stretched_clock(log)
+    if clock is None:
+        return []
+    return [
+        Finding(
+            "clock_rate", "warning", "stamp_s",
+            f"every value stands in {clock.times} rows, and vx_mps changes by {clock.ratio:.2g} of "
+            "what ax_mps2 says", "a ratio of 1",
+            f"time was taken to run {clock.times} times as fast; mend the stamps of the log",
         )
     ]  # fmt: skip
 

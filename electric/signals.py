@@ -129,6 +129,7 @@ def play(
     log: SignalLog,
     *,
     steering_offset_rad: float = 0.0,
+    steering_scale: float = 1.0,
     every: int = 1,
     observe: Callable[[int, Estimator], None] | None = None,
     progress: Callable[[int], None] | None = None,
@@ -141,13 +142,14 @@ def play(
     """
     n = len(log)
     stamps = log.stamp_s.tolist()
+    steering = steering_scale * (log.held("road_wheel_angle_rad") - steering_offset_rad)
     speed_name = "vx_mps" if log.has("vx_mps") else "speed_mps"
     # _make builds a row's tuple without naming its fields: half the time on a long log
     inputs = list(
         map(
             Inputs._make,
             zip(
-                (log.held("road_wheel_angle_rad") - steering_offset_rad).tolist(),
+                steering.tolist(),
                 log.held(speed_name).tolist(),
                 log.held("yaw_moment_nm").tolist(),
                 log.held("ax_mps2").tolist(),

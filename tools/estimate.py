@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,21 +16,22 @@ from pydantic import ValidationError
 
 from polemap.drivelog.atomic import atomic_file, check_file
 from polemap.drivelog.errors import ConfigError, InputError
+from polemap.electric.clock_rate import StretchedClock, stretched_clock
 from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import GPS
 from polemap.electric.estimators.registry import known_estimators, make_estimator
 from polemap.electric.gaps import find_gaps, play_parts, settled
-from polemap.electric.identify import identify
 from polemap.electric.io import gps_from_truth, read_signal_log
 from polemap.electric.plausibility import check_log
 from polemap.electric.signals import Played, SignalLog
 from polemap.set_option import parse_set_option
 from polemap.settings import first_problem, read_tree
 from polemap.tools.findings import require_plausible
+from polemap.tools.identification import identify_car
 from polemap.tools.option_types import ForceOption
 from polemap.tools.progress import progress
-from polemap.vehicle.io import car_names, dump_car, load_car
+from polemap.vehicle.io import car_names, load_car
 from polemap.vehicle.motion import sideslip_at
 from polemap.vehicle.parameters import Car
 
@@ -57,7 +59,12 @@ def command(
         str | None, typer.Option("--span", help="Use only stamps A:B of the log, seconds.")
     ] = None,
     identify_span: Annotated[
-        str | None, typer.Option("--identify", help="Fit the car on stamps A:B instead.")
+        str | None,
+        typer.Option("--identify", help="Fit the car on stamps A:B[,C:D...] instead."),
+    ] = None,
+    also: Annotated[
+        list[Path] | None,
+        typer.Option("--also", help="With --identify: a further log of the same car, used whole."),
     ] = None,
     derive_gps: Annotated[
         bool,
@@ -89,27 +96,47 @@ def command(
         polemap estimate comma2k19/ --estimator two_layer --vehicle rav4 --out estimate.csv \\
             --set gps_slots=3 --set heading_walk_rad=0.01
         polemap estimate log.csv --identify 150:250 --vehicle 250lm_published --out 250lm.yaml
+        polemap estimate a.csv --identify 0:60,90:120 --also b.csv --vehicle passat --out mine.yaml
     """
     if listed:
         _list()
         return
     if log is None or vehicle is None or out is None:
         raise ConfigError("estimate needs a LOG, --vehicle and --out; --list names the cars")
-    check_file(out, (log, vehicle, mapping, config_file))
+    check_file(out, (log, vehicle, mapping, config_file, *(also or [])))
     car = load_car(vehicle)
     signals, scored_from_s = _read(log, mapping, car)
     if span is not None:
         signals = _cut(signals, span, "--span")
     require_plausible(log.name, check_log(signals, car), force=force)
     if identify_span is not None:
-        _identify(signals, car, identify_span, log, vehicle, out)
+        source = (
+            f"polemap estimate {log.name} --identify {identify_span} --vehicle {vehicle}: tyres, "
+            "yaw inertia, load transfer, steering and side-slip point fitted; the rest from "
+            f"{vehicle} ({car.source})"
+        )
+        spans, rest = _parts(signals, identify_span)
+        for other in also or []:
+            further, _ = _read(other, mapping, car)
+            require_plausible(other.name, check_log(further, car), force=force)
+            spans.append(further)
+        spans, rest = [[_in_real_time(part) for part in parts] for parts in (spans, rest)]
+        identify_car(spans, rest, car, out, source)
         return
+    if also:
+        raise ConfigError("--also goes with --identify")
     if estimator is None or estimator not in known_estimators():
         raise ConfigError(f"--estimator {estimator}: choose one of {', '.join(known_estimators())}")
-    config = load_estimator_config(config_file, set_values, signals)
+    clock = stretched_clock(signals)
+    heard = signals if clock is None else clock.real_time(signals)
+    config = load_estimator_config(config_file, set_values, heard)
     if derive_gps:
-        signals = _with_gps(signals, config, seed)
-    played = run_estimator(estimator, signals, car, config, log)
+        heard = _with_gps(heard, config, seed)
+        # the antenna of a GPS that is made from the reference sits where the reference does
+        car = replace(car, gps_point_m=car.sideslip_point_m)
+    played = run_estimator(estimator, heard, car, config, log)
+    if clock is not None:
+        played = clock.at_rows(played, signals)
     write_estimates(played, out)
     scores = score(estimator, played, signals, car, scored_from_s)
     if scores:
@@ -162,6 +189,7 @@ def run_estimator(
             lambda: make_estimator(name, car, config),
             signals,
             steering_offset_rad=car.steering_offset_rad,
+            steering_scale=car.steering_scale,
             progress=advance,
         )
     for reason, count in dropped.items():
@@ -250,24 +278,25 @@ def write_estimates(played: Played, out: Path) -> None:
         pd.DataFrame(columns).to_csv(part, index=False, float_format="%.9g")
 
 
-def _identify(signals: SignalLog, car: Car, span: str, log: Path, vehicle: str, out: Path) -> None:
-    if out.suffix not in (".yaml", ".yml"):
-        raise ConfigError(f"--out {out}: --identify writes a car, name it NAME.yaml")
-    source = (
-        f"polemap estimate {log.name} --identify {span} --vehicle {vehicle}: stiffness, yaw "
-        "inertia, steering offset and side-slip point fitted; the rest from "
-        f"{vehicle} ({car.source})"
-    )
-    fit = identify(_cut(signals, span, "--identify"), car, name=out.stem, source=source)
-    with atomic_file(out) as part:
-        part.write_text(dump_car(fit.car), "utf-8")
-    line = {
-        "car": fit.car.name,
-        "sideslip_rmse_deg": round(float(np.degrees(fit.sideslip_rmse_rad)), 5),
-        "yaw_rate_rmse_radps": round(fit.yaw_rate_rmse_radps, 6),
-        "rows": fit.rows,
-    }
-    sys.stdout.write(json.dumps(line) + "\n")
+def _in_real_time(signals: SignalLog) -> SignalLog:
+    clock: StretchedClock | None = stretched_clock(signals)
+    return signals if clock is None else clock.real_time(signals)
+
+
+def _parts(signals: SignalLog, spans: str) -> tuple[list[SignalLog], list[SignalLog]]:
+    """The spans `A:B,C:D` of a log, and what lies between and around them."""
+    inside, taken = [], np.zeros(len(signals), dtype=bool)
+    for span in spans.split(","):
+        part = _cut(signals, span, "--identify")
+        inside.append(part)
+        taken |= (signals.stamp_s >= part.stamp_s[0]) & (signals.stamp_s <= part.stamp_s[-1])
+    edges = np.flatnonzero(np.diff(taken.astype(np.int8), prepend=1, append=1))
+    rest = []
+    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if after - first >= 2:
+            end = signals.stamp_s[after] if after < len(signals) else float("inf")
+            rest.append(signals.between(signals.stamp_s[first], end))
+    return inside, rest
 
 
 def _cut(signals: SignalLog, span: str, option: str) -> SignalLog:

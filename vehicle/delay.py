@@ -228,6 +228,17 @@ class ClonedFilter:
         row *= gain
         self.x += row
 
+    def row(self, jacobian: Floats, residual: float, variance: float) -> None:
+        """A measurement of one number with `jacobian` `(size,)`, in the short form of `scalar`."""
+        cross = self._row
+        np.dot(self.p, jacobian, out=cross)
+        s = float(jacobian @ cross) + variance
+        np.multiply.outer(cross, cross, out=self._outer)
+        self._outer /= s
+        self.p -= self._outer
+        cross *= residual / s
+        self.x += cross
+
     def capture(self, stamp_s: float) -> None:
         """Clone `S x`; the oldest capture is given up where no slot is free."""
         owners = self.owners

@@ -23,11 +23,23 @@ class Car:
         rear_stiffness_nprad: cornering stiffness of one rear tyre.
         preview_m: how far ahead of the centre of gravity the camera reads the lateral offset.
         steering_offset_rad: road-wheel angle that the sensor shows when the car runs straight.
+        steering_scale: road-wheel angle over what the sensor shows beyond that.
         sideslip_point_m: how far ahead of the centre of gravity the side-slip reference sits.
+        gps_point_m: how far ahead of the centre of gravity the GPS antenna sits.
         rear_track_m: distance of the rear wheels; 0 if unknown.
         wheel_radius_m: 0 if unknown.
         steering_ratio: steering-wheel angle over road-wheel angle; 0 if unknown.
         motor_torque_limit_nm: of one in-wheel motor; 0 if there is none.
+        front_slip_stiffness_nprad: cornering stiffness of one front tyre at no slip; 0: as
+            `front_stiffness_nprad`, which linear models use, and which is less where a car was
+            driven hard. This and the next six are of nonlinear models, and the defaults are a
+            passenger car's.
+        rear_slip_stiffness_nprad: the same of one rear tyre.
+        front_friction: largest lateral force of the front tyres over their load.
+        rear_friction: the same of the rear tyres.
+        cg_height_m: centre of gravity above the road; with ax it shifts load between the axles.
+        front_drive_share: share of the driving force on the front axle, 0 to 1.
+        front_brake_share: share of the braking force on the front axle, 0 to 1.
     """
 
     name: str
@@ -41,10 +53,19 @@ class Car:
     preview_m: float = 0.0
     steering_offset_rad: float = 0.0
     sideslip_point_m: float = 0.0
+    gps_point_m: float = 0.0
     rear_track_m: float = 0.0
     wheel_radius_m: float = 0.0
     steering_ratio: float = 0.0
     motor_torque_limit_nm: float = 0.0
+    steering_scale: float = 1.0
+    front_slip_stiffness_nprad: float = 0.0
+    rear_slip_stiffness_nprad: float = 0.0
+    front_friction: float = 1.0
+    rear_friction: float = 1.0
+    cg_height_m: float = 0.5
+    front_drive_share: float = 0.5
+    front_brake_share: float = 0.6
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -59,6 +80,11 @@ class Car:
             if getattr(self, name) <= 0.0:
                 raise VehicleError(
                     f"car {self.name}: {name} is {getattr(self, name)}, it must be positive"
+                )
+        for name in SHARES:
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise VehicleError(
+                    f"car {self.name}: {name} is {getattr(self, name)}, it must lie in 0 to 1"
                 )
 
     @property
@@ -101,6 +127,8 @@ class Car:
         """
         return replace(
             self,
+            front_slip_stiffness_nprad=self.front_slip_stiffness_nprad * stiffness,
+            rear_slip_stiffness_nprad=self.rear_slip_stiffness_nprad * stiffness,
             mass_kg=self.mass_kg * mass,
             yaw_inertia_kgm2=self.yaw_inertia_kgm2 * mass,
             front_stiffness_nprad=self.front_stiffness_nprad * stiffness,
@@ -115,4 +143,9 @@ POSITIVE = (
     "cg_to_rear_m",
     "front_stiffness_nprad",
     "rear_stiffness_nprad",
+    "front_friction",
+    "rear_friction",
+    "cg_height_m",
+    "steering_scale",
 )
+SHARES = ("front_drive_share", "front_brake_share")

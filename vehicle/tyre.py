@@ -1,4 +1,4 @@
-"""The tyre of the plant: a brush tyre under combined slip, with a friction circle."""
+"""Brush tyres: under combined slip for the plant, and across alone with its slope for filters."""
 
 from __future__ import annotations
 
@@ -33,3 +33,25 @@ def brush_force(
         force = demand - demand**2 / (3.0 * limit_n) + demand**3 / (27.0 * limit_n**2)
     share = force / demand
     return share * demand_x, -share * demand_y
+
+
+def brush_lateral(slip_rad: float, stiffness_nprad: float, limit_n: float) -> tuple[float, float]:
+    """Lateral force of a tyre or an axle, and its derivative by the slip angle.
+
+    Args:
+        slip_rad: direction of the contact patch's motion less the wheel's, left positive.
+        stiffness_nprad: cornering stiffness at no slip, positive.
+        limit_n: the most it can carry across, positive.
+
+    Returns:
+        Force to the left, and its slope (never positive; 0 from full sliding on).
+
+    Source: brush model with parabolic pressure in the form of Fiala (Pacejka, Tyre and Vehicle
+    Dynamics, 3rd ed., ch. 3): F = L (1 - (1 - z)^3) with z = C |alpha| / (3 L).
+    """
+    used = stiffness_nprad * abs(slip_rad) / (3.0 * limit_n)
+    if used >= 1.0:
+        return (-limit_n if slip_rad > 0.0 else limit_n), 0.0
+    left = 1.0 - used
+    force = limit_n * (1.0 - left * left * left)
+    return (-force if slip_rad > 0.0 else force), -stiffness_nprad * left * left

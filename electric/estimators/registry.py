@@ -24,6 +24,7 @@ from polemap.electric.estimators.late_camera import (
     UnevenDelayKalman,
 )
 from polemap.electric.estimators.linear_observer import LinearObserver
+from polemap.electric.estimators.nonlinear import NonlinearKalman
 from polemap.electric.estimators.replay import MultiRateKalman, ReplayKalman
 from polemap.electric.estimators.single_rate import SingleRateKalman
 from polemap.electric.estimators.stiffness import StiffnessKalman
@@ -100,6 +101,11 @@ ESTIMATORS: dict[str, Entry] = {
         (YAW_RATE,),
         StiffnessKalman,
         (CAMERA, GPS),
+    ),
+    "nonlinear": Entry(
+        "extended: brush tyres, disturbances and sensor biases (accelerometer, GPS if there)",
+        (YAW_RATE,),
+        NonlinearKalman,
     ),
     "two_layer": Entry(
         "GPS in two layers, delay exact (N13)", (YAW_RATE, GPS), TwoLayerKalman, (GPS,)

@@ -13,7 +13,8 @@ import pytest
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.studies.scenes import Scene, drive_with_camera
 from polemap.tools.cli import run
-from polemap.vehicle.io import load_car
+from polemap.vehicle.io import dump_car, load_car
+from tests.electric.driven import driven
 
 
 @pytest.fixture
@@ -65,8 +66,6 @@ def test_identify_finds_the_plant_and_writes_a_car(
 ) -> None:
     out = log.parent / "mine.yaml"
     soft = log.parent / "soft.yaml"
-    from polemap.vehicle.io import dump_car
-
     soft.write_text(dump_car(load_car("coms").scaled(stiffness=0.6)))
     call = ["estimate", str(log), "--vehicle", str(soft), "--identify", "0:4", "--out", str(out)]
     assert run(call) == 0
@@ -143,10 +142,60 @@ def test_racing_car_with_true_side_slip(
         "yaw_rate_walk_radps: 0.2\nsideslip_disturbance_radps: 0.05\nyaw_disturbance_radps2: 0.5\n"
     )
     errors = {}
-    for name in ("bicycle", "two_layer"):
+    for name in ("bicycle", "two_layer", "nonlinear"):
         call = ["estimate", str(source), "--estimator", name, "--vehicle", "250lm", "--derive-gps"]
         call += ["--span", "250:450", "--config", str(settings), "--out", str(tmp_path / "o.csv")]
         assert run(call) == 0
         errors[name] = json.loads(capsys.readouterr().out)["sideslip_rmse_deg"]
     assert errors["two_layer"] < 0.36
     assert errors["two_layer"] < 0.7 * errors["bicycle"]
+    assert errors["nonlinear"] < 0.28
+
+
+@pytest.mark.slow
+def test_road_car_on_a_stretched_clock_is_identified_and_estimated(
+    recording: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = str(recording("niki_gti") / "signals.csv.gz")
+    # mass, inertia and axles as published; a guess of its tyres
+    (tmp_path / "start.yaml").write_text(
+        "name: start\nsource: published\nmass_kg: 1926.2\nyaw_inertia_kgm2: 2763.5\n"
+        "cg_to_front_m: 1.264\ncg_to_rear_m: 1.367\n"
+        "front_stiffness_nprad: 50000\nrear_stiffness_nprad: 70000\n"
+    )
+    start, car = str(tmp_path / "start.yaml"), str(tmp_path / "gti.yaml")
+    call = ["estimate", source, "--identify", "300:400", "--vehicle", start, "--out", car]
+    assert run(call) == 0
+    said = capsys.readouterr()
+    assert "5 times as fast" in said.err
+    found = json.loads(said.out)
+    assert (
+        found["elsewhere"]["sideslip_rmse_deg"]
+        < found["elsewhere"]["of_the_start"]["sideslip_rmse_deg"]
+    )
+    call = ["estimate", source, "--estimator", "nonlinear", "--vehicle", car, "--derive-gps"]
+    call += ["--set", "gyro_sd_radps=0.005", "--set", "course_sd_rad=0.005", "--span", "60:300"]
+    assert run([*call, "--out", str(tmp_path / "o.csv")]) == 0
+    assert json.loads(capsys.readouterr().out)["sideslip_rmse_deg"] < 0.35
+
+
+def test_several_spans_and_a_further_log_are_fitted_together(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    car = load_car("passat")
+    (tmp_path / "car.yaml").write_text(dump_car(car))
+    for name, seed in (("a", 0), ("b", 1)):
+        made = driven(car, 24.0, seed=seed)
+        table = pd.DataFrame({"stamp_s": made.stamp_s, **made.columns})
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
+    call = ["estimate", str(tmp_path / "a.csv"), "--vehicle", str(tmp_path / "car.yaml")]
+    call += ["--identify", "0:6,8:14", "--also", str(tmp_path / "b.csv")]
+    assert run([*call, "--out", str(tmp_path / "mine.yaml")]) == 0
+    said = capsys.readouterr()
+    line = json.loads(said.out)
+    assert line["rows"] == 600 + 600 + 2400
+    assert line["elsewhere"]["sideslip_rmse_deg"] < 0.3
+    assert "front_friction" in said.err
+    alone = ["estimate", str(tmp_path / "a.csv"), "--vehicle", "passat", "--estimator", "bicycle"]
+    assert run([*alone, "--also", "b.csv", "--out", str(tmp_path / "o.csv")]) == 2
+    assert "--also goes with --identify" in capsys.readouterr().err
