@@ -89,7 +89,12 @@ def picture_poses(drive: Drive) -> Floats:
         raise ConfigError(f"drive {drive.name}: the KITTI layout needs images and a reference")
     poses = drive.reference.at(drive.frame_stamps_s)
     if not np.isfinite(poses).all():
-        raise ConfigError(f"drive {drive.name}: the reference does not cover every picture")
+        without = int(np.count_nonzero(~np.isfinite(poses).all(axis=1)))
+        raise ConfigError(
+            f"drive {drive.name}: the reference does not cover every picture ({without} of "
+            f"{len(poses)} are without), and KITTI has a pose for each; take a lap that it covers, "
+            "or leave the reference away"
+        )
     return poses
 
 
