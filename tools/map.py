@@ -37,6 +37,7 @@ from polemap.tools.map_slam import (
     check_slam,
     lacks_reference,
     slam_sentences,
+    update_without_reference,
     write_poses,
 )
 from polemap.tools.map_worker import observe_task, scan
@@ -214,9 +215,15 @@ def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -
     opened = job.drives()
     for drive in opened:
         require_plausible(drive.name, find(drive), force=force)
+    without = job.slam or any(map(lacks_reference, opened))
+    if without:
+        check_slam(opened, not job.is_serial, asked=job.slam)
     solved = None
-    if job.slam or any(map(lacks_reference, opened)):
-        check_slam(opened, job.old, not job.is_serial, asked=job.slam)
+    if without and job.old is not None:
+        built, opened = update_without_reference(
+            opened, job.old, job.settings, align=job.align, asked=job.slam, seed=job.seed
+        )
+    elif without:
         solved = build_without_reference(opened, job.settings, align=job.align)
         built, opened = solved.built, list(solved.drives)
     elif job.poses is not None:
