@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import cpu_count
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +19,7 @@ from polemap.localize.config import for_car
 from polemap.localize.place.along import Found, find_along
 from polemap.localize.place.finder import WRONG_MOST, Search
 from polemap.map.pattern_index.index import PatternIndex
+from polemap.map.pattern_index.io import index_file
 from polemap.settings import load_settings
 from polemap.tools.drive_detection import Source, detect_drive
 from polemap.tools.findings import require_plausible
@@ -90,7 +93,7 @@ def command(
         scans = detect_drive(source, opened, settings, processes, None, advance).scans
     begin_s = float(opened.odometry.stamp_s[0]) + at_s
     localize = for_car(settings.localize, opened.car)
-    with progress(len(scans), "searching") as advance:
+    with progress(len(scans), "searching") as advance, _about(map_file):
         found = find_along(
             scans,
             opened.odometry,
@@ -104,6 +107,15 @@ def command(
         draw_place(index, found, picture)
     typer.echo(json.dumps(_record(found, index)) if as_json else _told(found, index, wrong_most))
     return 0
+
+
+@contextmanager
+def _about(map_file: Path) -> Iterator[None]:
+    """What is wrong with the numbers in an index shows when they are used; the file is named."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{index_file(map_file)}: {error}") from error
 
 
 def _record(found: Found, index: PatternIndex) -> dict[str, Any]:

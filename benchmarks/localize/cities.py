@@ -87,21 +87,30 @@ class City:
         )
 
 
-def make_city(poles: int, seed: int) -> City:
-    """A city of about so many poles (within some percent); the same seed, the same city."""
+def make_city(
+    poles: int, seed: int, *, avenues: float = _AVENUES, planned: float = _PLANNED
+) -> City:
+    """A city of about so many poles (within some percent); the same seed, the same city.
+
+    Args:
+        avenues: share of stretches of streets that are lined by trees at equal distances.
+        planned: share of quarters whose streets all repeat one pattern.
+    """
     rng = np.random.default_rng([seed, poles])
     side = max(2, round(np.sqrt(poles / (2.0 * _POLES_PER_EDGE))) + 1)
     quarters = -(-side // _QUARTER)
-    planned = rng.random((quarters, quarters)) < _PLANNED
+    repeats = rng.random((quarters, quarters)) < planned
     row, column = np.mgrid[:side, :side]
-    node_planned = planned[row // _QUARTER, column // _QUARTER]
+    node_planned = repeats[row // _QUARTER, column // _QUARTER]
     north = np.cumsum(rng.uniform(*_BLOCK_M, side))
     east = np.cumsum(rng.uniform(*_BLOCK_M, side))
     nodes = np.stack([east[column], north[row]], axis=-1)
     nodes += np.where(node_planned[..., None], 0.0, _NODE_SD_M) * rng.standard_normal(nodes.shape)
     parts = [
-        _streets(nodes[:, :-1], nodes[:, 1:], row[:, :-1], column[:, :-1], node_planned, rng),
-        _streets(nodes[:-1], nodes[1:], column[:-1], row[:-1], node_planned.T, rng),
+        _streets(
+            nodes[:, :-1], nodes[:, 1:], row[:, :-1], column[:, :-1], node_planned, avenues, rng
+        ),
+        _streets(nodes[:-1], nodes[1:], column[:-1], row[:-1], node_planned.T, avenues, rng),
         _signals(nodes.reshape(-1, 2), rng),
         *_blocks(nodes, rng),
     ]
@@ -113,20 +122,21 @@ def make_city(poles: int, seed: int) -> City:
 
 def _streets(
     begin: Floats, end: Floats, line: Whole, place: Whole, planned: NDArray[np.bool_],
-    rng: np.random.Generator,
+    avenues: float, rng: np.random.Generator,
 ) -> Floats:  # fmt: skip
     """Poles `(n, 2)` beside edges from `begin` to `end` `(..., 2)`.
 
     Args:
         line, place: of each edge: number of its street, and its own along the street.
         planned: `(lines, places)`, of the crossings.
+        avenues: share of their runs.
     """
     begin, end = begin.reshape(-1, 2), end.reshape(-1, 2)
     line, place = line.reshape(-1), place.reshape(-1)
     lines, runs = int(line.max()) + 1, int(place.max()) // _RUN + 1
     run = (line, place // _RUN)
     repeats = planned[line, place]
-    avenue = (rng.random((lines, runs)) < _AVENUES)[run] & ~repeats
+    avenue = (rng.random((lines, runs)) < avenues)[run] & ~repeats
     tree_gap = rng.choice(_TREE_GAPS_M, (lines, runs))[run]
     tree_side = rng.uniform(*_TREE_SIDES_M, (lines, runs))[run]
     length = np.hypot(*(end - begin).T)

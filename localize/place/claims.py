@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.localize.place.along import SEARCH_EVERY_M
 from polemap.localize.place.finder import WRONG_MOST, PlaceFinder
@@ -20,6 +22,8 @@ from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import compose, relative
 
 Floats = NDArray[np.float64]
+
+_LOG = logging.getLogger("polemap")
 
 PATTERNS_FROM = 1500
 """Poles of a map in memory from which on its patterns are searched; of smaller ones all pairs."""
@@ -111,7 +115,13 @@ class PlaceClaims:
         self._searched_m = self._way_m
         self._searches += 1
         finder = self._finders[self._searches % 2]
-        search = finder.search()
+        try:
+            search = finder.search()
+        except InputError as error:
+            # the filter goes on without: what is damaged is no reason to stop a car
+            _LOG.warning("%s", error)
+            self.use_index(lambda: None)
+            return
         if search is None or search.wrong > WRONG_MOST:
             return
         self._claim = Claim(search.poses[0], search.covariance[0], int(search.matched[0]))

@@ -16,6 +16,7 @@ from polemap.drivelog.drive import Lap
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.writers.folder import folder_writer
 from polemap.map.io import read_map, write_map
+from polemap.map.pattern_index.io import read_index
 from polemap.map.pole_map import PoleMap
 from polemap.tools.cli import run
 from tests.polemap.town import FRAME, Town, drive_through, make_town, route
@@ -183,3 +184,21 @@ def test_an_empty_map_is_described(tmp_path: Path, capsys: pytest.CaptureFixture
     write_map(PoleMap.empty(FRAME), tmp_path / "e.gpkg")
     assert run(["info", str(tmp_path / "e.gpkg")]) == 0
     assert "poles      0" in capsys.readouterr().out
+
+
+def test_an_index_of_patterns_is_written_beside_a_map_on_demand(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "city.gpkg"
+    first, second = tmp_path / "one.gpkg", tmp_path / "two.gpkg"
+    assert run(["map", str(place / "monday"), "--out", str(first), "--index"]) == 0
+    assert "triangles of" in capsys.readouterr().out
+    assert read_index(first) is not None
+    words = ["map", str(place / "monday"), "--out", str(second), "--index", "--workers", "2"]
+    assert run(words) == 0
+    one, two = read_index(first), read_index(second)
+    assert one is not None
+    assert two is not None
+    np.testing.assert_array_equal(one.pole, two.pole)
+    assert run(["map", "--convert", str(first), "--out", str(out), "--index"]) == 0
+    assert read_index(out) is not None

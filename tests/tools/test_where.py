@@ -11,7 +11,7 @@ import pytest
 
 from polemap.drivelog.writers.folder import write_drive
 from polemap.map.io import write_map
-from polemap.map.pattern_index.io import index_file
+from polemap.map.pattern_index.io import index_file, write_index
 from polemap.tools import cli
 from tests.localize.place.town import drive_in, town
 
@@ -107,3 +107,19 @@ def test_what_is_missing_is_named(
     write_drive(replace(made, scans=()), tmp_path / "blind")
     assert where(tmp_path / "blind", "--map", pole_map) == cli.USER_ERROR
     assert "neither images nor poles.csv" in capsys.readouterr().err
+
+
+def test_wrong_numbers_in_an_index_are_one_line(
+    places: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, _, _ = places
+    file = tmp_path / "town.geojson"
+    write_map(town(0).surveyed(0.05, 0), file)
+    index = write_index(town(0).surveyed(0.05, 0), file)
+    data = bytearray(index_file(file).read_bytes())
+    # the last array but one names the poles of triangles
+    end = len(data) - 2 * index.triangles - 128
+    data[end - 2 * index.triangles : end] = b"\xff" * (2 * index.triangles)
+    index_file(file).write_bytes(data)
+    assert where(drive, "--map", file) == cli.USER_ERROR
+    assert "town.geojson.patterns: index of patterns: it names poles" in capsys.readouterr().err

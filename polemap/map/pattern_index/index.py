@@ -88,7 +88,10 @@ class PatternIndex:
         end = np.searchsorted(self.shapes, keys(sides), side="right")
         filled = end > begin
         begin, end = begin[filled], end[filled]
-        return self.shape_first[begin], self.shape_first[end], query[filled]
+        # whatever stands in a damaged file, no range leads beyond the triangles that there are
+        first = np.clip(self.shape_first[begin], 0, len(self.pole))
+        stop = np.clip(self.shape_first[end], first, len(self.pole))
+        return first, stop, query[filled]
 
     def hits(self, first: Whole, stop: Whole, query: Whole) -> Hits:
         """The triangles of ranges that `ranges` gave.
@@ -99,7 +102,9 @@ class PatternIndex:
         number, owner = members(first, stop)
         pole = self.pole[number].astype(np.int64)
         if len(pole) and pole.max() >= len(self.points_m):
-            raise InputError("index of patterns: it is damaged; build it anew")
+            raise InputError(
+                "index of patterns: it names poles that are not there; delete its file"
+            )
         return Hits(query[owner], pole, self.direction[number])
 
     def nearest(self, points_m: Floats, limit_m: float) -> tuple[Floats, Whole]:
@@ -145,6 +150,6 @@ class PatternIndex:
         there = np.zeros(len(number), dtype=bool)
         if len(self.cells):
             there = self.cells[at] == number
-        first = np.where(there, self.cell_first[at], 0)
-        stop = np.where(there, self.cell_first[at + there], 0)
+        first = np.clip(np.where(there, self.cell_first[at], 0), 0, len(self))
+        stop = np.clip(np.where(there, self.cell_first[at + there], 0), first, len(self))
         return members(first, stop)

@@ -91,12 +91,14 @@ def _pairs(count: int) -> tuple[Whole, Whole]:
 
 
 def _each_once(triples: Whole, count: int) -> Whole:
-    """Rows without repeats, sorted; as `np.unique` of rows, but by one number where that fits."""
-    if count < 2_000_000:
-        packed = np.unique((triples[:, 0] * count + triples[:, 1]) * count + triples[:, 2])
-        rest, third = packed // count, packed % count
-        return np.stack([rest // count, rest % count, third], axis=1)
-    return np.unique(triples, axis=0)
+    """Rows without repeats, sorted."""
+    if count >= 2_000_000:  # three of them do not fit into 63 bits
+        return np.unique(triples, axis=0)
+    packed = (triples[:, 0] * count + triples[:, 1]) * count + triples[:, 2]
+    packed.sort()
+    packed = packed[np.diff(packed, prepend=-1) != 0]
+    rest, third = packed // count, packed % count
+    return np.stack([rest // count, rest % count, third], axis=1)
 
 
 def triangles(points_m: Floats, triples: Whole) -> Triangles:

@@ -157,3 +157,10 @@ def test_small_maps_keep_their_own_search() -> None:
     made = index()
     assert made is not None
     assert len(made) == PATTERNS_FROM
+
+
+def test_an_index_with_wrong_numbers_is_given_up(caplog: pytest.LogCaptureFixture) -> None:
+    index = index_of()
+    broken = replace(index, pole=np.full(index.triangles, len(index), dtype=np.uint32))
+    assert claims_along(PlaceClaims(lambda: broken), 1) == []
+    assert caplog.text.count("names poles that are not there") == 1

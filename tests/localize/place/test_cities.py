@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.localize.cities import changed, make_city, motion_along, route
+from benchmarks.localize.places import Start, drive_through, one_start, show
+from tests.localize.place.town import drive_in, index_of, town
+
+
+@pytest.mark.parametrize("poles", [300, 5000])
+def test_a_city_is_that_of_its_seed_and_about_as_large_as_asked(poles: int) -> None:
+    one, same, other = make_city(poles, 3), make_city(poles, 3), make_city(poles, 4)
+    np.testing.assert_array_equal(one.points_m, same.points_m)
+    assert len(one.points_m) != len(other.points_m) or not np.allclose(one.points_m, other.points_m)
+    assert 0.6 * poles < len(one) < 1.6 * poles
+    assert (np.diff(one.points_m[:, 1]) >= 0.0).all()
+
+
+def test_a_route_keeps_to_the_streets_and_bends_as_a_car_can() -> None:
+    city = town(0)
+    poses = route(city, 200.0, np.random.default_rng(1))
+    assert len(poses) == 401
+    step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    np.testing.assert_allclose(step, 0.5, atol=0.06)
+    turn = np.abs(np.diff(np.unwrap(poses[:, 2])))
+    assert turn.max() < 0.4
+    away = np.hypot(*(poses[:, np.newaxis, :2] - city.points_m).transpose(2, 0, 1)).min(axis=1)
+    assert away.min() > 0.4
+    motion = motion_along(poses, 10.0)
+    np.testing.assert_allclose(motion.at(motion.stamp_s[-1])[0, :2], poses[-1, :2], atol=0.1)
+
+
+def test_a_city_that_has_changed_has_lost_and_gained_as_many() -> None:
+    city = make_city(20_000, 0)
+    later = changed(city, 0.1, np.random.default_rng(2))
+    kept = len(np.intersect1d(later.points_m[:, 0], city.points_m[:, 0]))
+    assert kept == pytest.approx(0.95 * len(city), rel=0.02)
+    assert len(later) == pytest.approx(len(city), rel=0.02)
+
+
+def test_what_came_of_starts_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    drive, motion = drive_in(0, 1)
+    assert drive.odometry is not None
+    start = one_start(index_of(), drive.scans, drive.odometry, lambda s: motion.at(s)[0], 1)
+    assert start.found
+    wrong = Start(2, True, 30.0, 80.0, 3.0, (1e-4,), (False,), (9.0,))
+    assert not wrong.found
+    show("town", [start, wrong])
+    told = capsys.readouterr().out
+    assert "town: 2 starts, 1 found, 1 claimed wrongly [(2, 80.0, 3.0)]" in told
+    assert "stated 0 to 0.001" in told
+    scans, odometry, _ = drive_through(town(0), 5)
+    assert len(scans) > 100
+    assert len(odometry) > 900
