@@ -22,6 +22,7 @@ from polemap.drivelog.readers.bags.reader import survey
 from polemap.drivelog.readers.registry import open_drive
 from polemap.errors import PolemapError
 from polemap.map.city.city_map import CityMap, statistics_of
+from polemap.map.city.folder.io import map_files
 from polemap.map.city.io import open_map
 from polemap.map.io import MAP_ENDINGS
 from polemap.map.plausibility import check_map, check_map_of_drive
@@ -67,7 +68,7 @@ def command(
         if any(finding.severity == "error" for finding in found):
             raise typer.Exit(2)
         return
-    if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
+    if _is_map(path):
         frame = (
             open_drive(frame_of, seed=seed, topics=topics).frame if frame_of is not None else None
         )
@@ -78,6 +79,10 @@ def command(
         drive = open_drive(path, seed=seed, topics=topics)
         lines = describe_drive(drive) + describe_findings(find(drive))
     typer.echo("\n".join(lines))
+
+
+def _is_map(path: Path) -> bool:
+    return (path.is_file() and path.suffix.lower() in MAP_ENDINGS) or bool(map_files(path))
 
 
 def _describe_log(path: Path, topics: Path | None, write_to: Path | None) -> None:
@@ -103,7 +108,7 @@ def _findings(path: Path, frame_of: Path | None, topics: Path | None, seed: int)
         drive = None
         if frame_of is not None:
             drive = open_drive(frame_of, seed=seed, topics=topics)
-        if path.is_file() and path.suffix.lower() in MAP_ENDINGS:
+        if _is_map(path):
             pole_map = open_map(path, drive.frame if drive else None, allow_empty=True)
             found = check_map(pole_map)
             return found + check_map_of_drive(pole_map, drive) if drive else found

@@ -51,7 +51,8 @@ def command(
         Path | None, typer.Option("--out", help="Run folder to write; with --follow as you like.")
     ] = None,
     map_file: Annotated[
-        Path | None, typer.Option("--map", help="Pole map: gpkg, geojson, parquet or csv.")
+        Path | None,
+        typer.Option("--map", help="Pole map: gpkg, geojson, parquet, csv, or a folder."),
     ] = None,
     lap: LapOption = None,
     runs: Annotated[

@@ -22,6 +22,7 @@ from polemap.evaluation.verdict import judge
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import replay
 from polemap.map.city.city_map import CityMap
+from polemap.map.city.folder.io import map_files
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.json_text import read_json
 from polemap.settings import Settings
@@ -95,8 +96,13 @@ class Replay:
 
 
 def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Of a file, or of all map files of a folder."""
+    files = map_files(path) or [path]
+    digests = []
+    for file in files:
+        with file.open("rb") as stream:
+            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
+    return "".join(digests)
 
 
 @dataclass(frozen=True, slots=True)

@@ -256,6 +256,8 @@ class ParticleFilter:
         places = [] if fix is None else [fix]
         if not self.initialized:
             self._window.follow(places, np.zeros(2))
+            if not places:
+                self.counts["scans_without_place"] += 1
             return scan
         pose = compose(self._pose, relative(self._odometry_pose, odometry_pose))
         speed_mps, _ = self._history.rates_at(stamp)

@@ -19,6 +19,7 @@ from polemap.drivelog.errors import FrameError, InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.tables import read_table
 from polemap.extras import check_installed, need
+from polemap.map.city.packing import TILE_POLES
 from polemap.map.city.parquet.io import write_tiles
 from polemap.map.city.stored import CITY_POLES
 from polemap.map.crowds import check_crowds
@@ -141,16 +142,8 @@ def _read_geojson(path: Path, frame: EarthFrame | None) -> PoleMap:
 
 
 def _write_parquet(pole_map: PoleMap, path: Path) -> None:
-    parquet = need("pyarrow.parquet")
-    from polemap.map.formats import geoparquet, geoparquet_points  # need pyarrow, too
-
-    if len(pole_map) >= CITY_POLES:
-        write_tiles(pole_map, path)
-        return
-    table = geoparquet.to_table(pole_map)
-    # dictionaries of numbers that are all different only cost time, as does a strong compression
-    texts = geoparquet_points.text_columns(table)
-    parquet.write_table(table, path, compression="snappy", use_dictionary=texts)
+    # what is no city is a single tile, in its own order
+    write_tiles(pole_map, path, TILE_POLES if len(pole_map) >= CITY_POLES else CITY_POLES)
 
 
 def _read_parquet(path: Path, frame: EarthFrame | None) -> PoleMap:

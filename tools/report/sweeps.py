@@ -162,7 +162,7 @@ def _input(recording: Recording) -> tuple[Source, Drive, Path]:
         raise InputError("its drive cannot be read any more")
     if main.map is None:
         raise InputError("it was localized without a map")
-    if not main.map.is_file():
+    if not main.map.exists():
         raise InputError(f"its map {main.map} is gone")
     topics = None if main.topics is None else str(main.topics)
     source = Source(str(main.drive), main.lap, topics, str(main.config.get("odometry", "auto")))

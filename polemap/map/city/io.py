@@ -9,8 +9,7 @@ from pathlib import Path
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.city.city_map import CityMap, TileStore
-from polemap.map.city.geopackage.io import GeoPackageTiles
-from polemap.map.city.parquet.io import ParquetTiles
+from polemap.map.city.folder.io import STORES, FolderTiles
 from polemap.map.city.stored import CITY_POLES
 from polemap.map.pole_map import PoleMap
 
@@ -20,8 +19,9 @@ def open_map(
 ) -> PoleMap | CityMap:
     """Open a map, in the frame that is asked for.
 
-    A GeoPackage or GeoParquet file of a city, as `write_map` writes it, is opened by its tiles
-    without reading its poles; every other map is read, with a note where it is as large as a city.
+    A GeoPackage or GeoParquet file of a city, as `write_map` writes it, or a folder of such files
+    of any size, is opened by its tiles without reading its poles; every other map is read, with a
+    note where it is as large as a city.
 
     Args:
         path, frame, allow_empty: see `polemap.map.io.read_map`.
@@ -32,7 +32,7 @@ def open_map(
     """
     path = Path(path)
     city = open_city(path, frame)
-    if city is not None:
+    if city is not None and (len(city) >= CITY_POLES or path.is_dir()):
         return city
     # its libraries take a second and a hundred megabytes, which a city by tiles does not need
     from polemap.map.io import read_map
@@ -56,10 +56,13 @@ def open_city(path: str | Path, frame: EarthFrame | None = None) -> CityMap | No
     """
     path = Path(path)
     store: TileStore | None = None
-    if not os.path.isfile(path):
+    # os.path, unlike pathlib, says that a name of 300 letters is no file
+    if os.path.isdir(path):
+        store = FolderTiles.open(path)
+        if store is None:
+            raise InputError(f"{path}: no such map; a folder of maps holds .gpkg or .parquet files")
+    elif not os.path.isfile(path):
         raise InputError(f"{path}: no such map")
-    if path.suffix.lower() == ".gpkg":
-        store = GeoPackageTiles.open(path)
-    elif path.suffix.lower() == ".parquet":
-        store = ParquetTiles.open(path)
+    elif path.suffix.lower() in STORES:
+        store = STORES[path.suffix.lower()](path)
     return None if store is None else CityMap(store, frame, str(path))

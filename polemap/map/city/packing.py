@@ -20,9 +20,12 @@ TILE_POLES = 4096
 def packed_order(points_m: Floats, tile_poles: int = TILE_POLES) -> NDArray[np.int64]:
     """The order `(n,)` of points `(n, 2)` in which every `tile_poles` in a row are neighbours.
 
-    Slices from west to east, in each of them from south to north; equal ones stay in their order.
+    Slices from west to east, in each of them from south to north; equal ones, and those of a single
+    tile, stay in their order.
     """
     n = len(points_m)
+    if n <= tile_poles:
+        return np.arange(n)
     slices = max(1, ceil(sqrt(ceil(n / tile_poles))))
     order = np.argsort(points_m[:, 0], kind="stable")
     parts = [

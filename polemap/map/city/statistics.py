@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import nan
 from typing import Any
@@ -131,6 +131,47 @@ class MapStatistics:
         )
 
 
+def together(parts: Sequence[MapStatistics]) -> MapStatistics:
+    """Of maps that are used as one; percentiles and spacing are means, weighted by the poles."""
+    full = [part for part in parts if part.poles]
+    if not full:
+        return parts[0] if parts else MapStatistics(0, (), ())
+    extents = np.array([part.extent_m for part in full])
+    further = tuple(dict.fromkeys(name for part in full for name in part.further))
+    lows = [part.existence[0] for part in full]
+    highs = [part.existence[1] for part in full]
+    return MapStatistics(
+        poles=sum(part.poles for part in full),
+        extent_m=(*extents[:, :2].min(axis=0).tolist(), *extents[:, 2:].max(axis=0).tolist()),
+        kinds=tuple(sorted({kind for part in full for kind in part.kinds})),
+        position_sd_m=_mean_of([(part.position_sd_m, part.poles) for part in full]),
+        width_m=_mean_of([(part.width_m, part.widths) for part in full]),
+        height_m=_mean_of([(part.height_m, part.heights) for part in full]),
+        widths=sum(part.widths for part in full),
+        heights=sum(part.heights for part in full),
+        width_max_m=max((p.width_max_m for p in full if p.widths), default=nan),
+        wide=sum(part.wide for part in full),
+        negative=sum(part.negative for part in full),
+        observations=sum(part.observations for part in full),
+        drives=max(part.drives for part in full),
+        existence=(min(lows), max(highs)),
+        neighbours=sum(part.neighbours for part in full),
+        spacing_m=_mean_of([((part.spacing_m,) * 3, part.neighbours) for part in full])[0],
+        doubled=sum(part.doubled for part in full),
+        further=further,
+    )
+
+
+def _mean_of(values: Sequence[tuple[Three, int]]) -> Three:
+    known = [(three, weight) for three, weight in values if weight]
+    if not known:
+        return _UNKNOWN
+    low, middle, high = np.average(
+        [three for three, _ in known], axis=0, weights=[weight for _, weight in known]
+    )
+    return float(low), float(middle), float(high)
+
+
 def _to_the_next(pole_map: PoleMap) -> Floats:
     """Distances to the next pole: of all, or of those in some tiles of a large map."""
     n = len(pole_map)
@@ -139,7 +180,7 @@ def _to_the_next(pole_map: PoleMap) -> Floats:
     if n <= _ALL_NEIGHBOURS:
         assert pole_map.tree is not None
         return np.asarray(pole_map.tree.query(pole_map.points_m, k=2)[0])[:, 1]
-    order = packed_order(pole_map.points_m)
+    order = packed_order(pole_map.points_m, TILE_POLES)
     tiles = -(-n // TILE_POLES)
     chosen = np.unique(np.linspace(0, tiles - 1, _TILES).astype(np.int64))
     found = []

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.city import io as opening
 from polemap.map.city.city_map import CityMap, box_around
-from polemap.map.city.geopackage.io import TILE_M
+from polemap.map.city.geopackage.io import TILE_M, GeoPackageTiles
 from polemap.map.city.io import open_city, open_map
 from polemap.map.city.packing import boxes_of, packed_order
+from polemap.map.city.parquet.io import ParquetTiles
 from polemap.map.city.statistics import MapStatistics
 from polemap.map.io import read_map, write_map
 from polemap.map.pole_map import PoleMap
@@ -141,10 +141,10 @@ def test_opening_reads_no_poles_and_knows_all_of_them(
     def read(*_: object) -> None:
         raise AssertionError("a tile was read")
 
-    for store in (opening.GeoPackageTiles, opening.ParquetTiles):
+    for store in (GeoPackageTiles, ParquetTiles):
         monkeypatch.setattr(store, "read", read)
-    opened = open_map(files[ending])
-    assert isinstance(opened, CityMap)
+    opened = open_city(files[ending])
+    assert opened is not None
     assert opened.statistics == replace(
         MapStatistics.of(city), further=opened.statistics.further
     ) or str(opened.statistics) == str(MapStatistics.of(city))

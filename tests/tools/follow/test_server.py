@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,7 +22,9 @@ from polemap.localize.output_filter.limiter import OutputPose
 from polemap.tools.follow.address import parse_address
 from polemap.tools.follow.engine import Tick
 from polemap.tools.follow.server import SUBPROTOCOL, FoxgloveServer
+from tests.city_maps import opened, write_city
 from tests.localize.point_drives import street_drive
+from tests.pole_maps import plain_map
 
 
 def tick(stamp_s: float, place: tuple[float, float, float] = (458123.0, 5.43e6, 0.5)) -> Tick:
@@ -35,6 +38,28 @@ def server() -> Iterator[FoxgloveServer]:
     made = FoxgloveServer(("127.0.0.1", 0), EarthFrame("utm", 32632), street_drive(2, 1.0).pole_map)
     yield made
     made.close()
+
+
+def test_of_a_city_the_poles_around_are_shown_anew_on_the_way(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(0.0, 3000.0, (500, 2))
+    city = opened(write_city(plain_map(points), tmp_path)["parquet"])
+    server = FoxgloveServer(("127.0.0.1", 0), city.frame, city)
+    shown: list[int] = []
+    publish = server._publish
+    server._publish = lambda topic, now_ns, message: (  # type: ignore[method-assign]
+        shown.append(len(message.entities[0].cylinders)) if topic == "/map/poles" else None,
+        publish(topic, now_ns, message),
+    )
+    try:
+        with connect(server.url, subprotocols=[SUBPROTOCOL]) as viewer:  # type: ignore[list-item]
+            viewer.recv(timeout=10)
+            viewer.recv(timeout=10)
+            for second in range(10):
+                server.send(tick(second + 1.0, (500.0 + 100.0 * second, 1000.0, 0.0)))
+    finally:
+        server.close()
+    assert 3 <= len(shown) <= 5
+    assert all(0 < count < 500 for count in shown)
 
 
 @pytest.fixture

@@ -41,6 +41,7 @@ def write_tiles(pole_map: PoleMap, path: Path, tile_poles: int = TILE_POLES) -> 
         {"tile_poles": tile_poles, "boxes": boxes.tolist()},
     )
     metadata = {**table.schema.metadata, METADATA_KEY.encode(): city.to_text().encode()}
+    # dictionaries of numbers that are all different only cost time, as does a strong compression;
     # the checksums find a tile that a disk has damaged; nobody asks for statistics of columns
     parquet.write_table(
         table.replace_schema_metadata(metadata), path, compression="snappy",

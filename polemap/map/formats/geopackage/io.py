@@ -38,10 +38,7 @@ def write_geopackage(pole_map: PoleMap, path: Path) -> None:
     The poles of a city stand in the order of tiles, so that neighbours share pages of the disk.
     """
     layers = [LAYER]
-    if len(pole_map) >= CITY_POLES:
-        write_city_layer(pole_map, path)
-    else:
-        _write_layer(pole_map, path, LAYER)
+    _write_poles(pole_map, path)
     if pole_map.doubtful is not None and len(pole_map.doubtful):
         layers.append(DOUBTFUL)
         _write_layer(pole_map.doubtful, path, DOUBTFUL)
@@ -56,12 +53,15 @@ def write_geopackage(pole_map: PoleMap, path: Path) -> None:
             database.execute(statement)
 
 
-def write_city_layer(pole_map: PoleMap, path: Path) -> None:
+def _write_poles(pole_map: PoleMap, path: Path) -> None:
     """Write the layer of poles such that it can be read by tiles."""
-    packed = pole_map.rows(packed_order(pole_map.points_m))
-    for start in range(0, len(packed), _ROWS_AT_ONCE):
+    packed = pole_map
+    if len(pole_map) >= CITY_POLES:
+        packed = pole_map.rows(packed_order(pole_map.points_m))
+    _write_layer(packed.rows(slice(0, _ROWS_AT_ONCE)), path, LAYER)
+    for start in range(_ROWS_AT_ONCE, len(packed), _ROWS_AT_ONCE):
         part = packed.rows(slice(start, start + _ROWS_AT_ONCE))
-        _write_layer(part, path, LAYER, append=start > 0)
+        _write_layer(part, path, LAYER, append=True)
     describe_city(path, StoredCity(packed.frame, MapStatistics.of(packed), {}))
 
 

@@ -1,0 +1,1 @@
+"""City maps in folders: a map file a district."""
