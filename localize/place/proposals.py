@@ -68,11 +68,8 @@ def propose(index: PatternIndex, local: LocalMap, most: int) -> Proposals:
     rarity = np.log(max(index.triangles, 2) / np.maximum(count, 1)).clip(0.1)
     # a hit lays the corner onto a pole of the map, and turns the arm from it to the centre along
     arm = rotate(centre - local.points_m[asked.corners[:, 0]], -asked.direction_rad)
-    east, north = arm[hits.query].T
     turned = 2.0 * np.pi / DIRECTIONS * hits.direction
-    c, s = np.cos(turned), np.sin(turned)
-    place = np.take(index.points_m, hits.pole, axis=0)
-    place += np.column_stack([c * east - s * north, s * east + c * north])
+    place = np.take(index.points_m, hits.pole, axis=0) + rotate(arm[hits.query], turned)
     yaw = wrap_angle(turned - asked.direction_rad[hits.query])
     poses, votes = _counted(place, yaw, rarity[hits.query], most)
     poses[:, :2] += rotate(-centre, poses[:, 2])
