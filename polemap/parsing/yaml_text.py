@@ -87,6 +87,15 @@ def parse_yaml(text: str) -> Any:
     return value
 
 
+def yaml_node(text: str) -> yaml.Node | None:
+    """The nodes, with their lines, of a text that `parse_yaml` has taken, by the same loader.
+
+    The loader in Python refuses a tab that libyaml takes.
+    """
+    node: yaml.Node | None = yaml.compose(text, Loader=_Loader)
+    return node
+
+
 def _check_events(events: Iterator[Any]) -> None:
     """Depth and number of values, an alias counted as all that it stands for."""
     sizes: dict[str, int] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -63,7 +64,7 @@ def attached_files(path: Path) -> dict[str, bytes]:
             file.seek(0)
             attachments = reader.make_reader(file).iter_attachments()
             return {one.name: bytes(one.data) for one in attachments if one.name in FILES}
-        except (records.McapError, ValueError, OSError, KeyError):
+        except (records.McapError, ValueError, OSError, KeyError, struct.error):
             return {}  # a recording that was cut off: its messages are read all the same
 
 

@@ -15,7 +15,7 @@ from polemap.drivelog.readers.bags.mapping import CameraSide, Mapping, Signal
 from polemap.drivelog.readers.bags.types import Kind
 from polemap.parsing.errors import named
 from polemap.parsing.text import MEGABYTE, read_text
-from polemap.parsing.yaml_text import parse_yaml
+from polemap.parsing.yaml_text import parse_yaml, yaml_node
 
 _SPEEDS: tuple[Kind, ...] = ("odometry", "twist", "ackermann", "joints", "number")
 _TURNS: tuple[Kind, ...] = ("odometry", "twist", "ackermann", "imu")
@@ -64,7 +64,7 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
                 yield (*place, str(number)), value.start_mark.line + 1
                 yield from walk(value, (*place, str(number)))
 
-    return dict(walk(yaml.compose(text, Loader=yaml.SafeLoader), ()))
+    return dict(walk(yaml_node(text), ()))
 
 
 def check_topics(mapping: Mapping, index: LogIndex, path: Path) -> None:

@@ -18,6 +18,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.bags import decoding, reader
 from polemap.drivelog.readers.bags.container import LARGEST_CHUNK, decompress
+from polemap.drivelog.readers.bags.described import attached_files
 from polemap.drivelog.readers.registry import open_drive
 from polemap.extras import MissingExtraError
 from tests.drivelog.bags.recordings import (
@@ -316,3 +317,13 @@ def test_a_recording_that_ends_in_the_head_of_a_chunk_is_read_as_far_as_it_goes(
     drive = open_drive(path)
     assert 0 < stamps(drive) < stamps(open_drive(logs / "plain.mcap"))
     assert "log_damaged" in [finding.kind for finding in drive.findings]
+
+
+def test_a_record_that_is_shorter_than_its_kind_describes_no_drive(tmp_path: Path) -> None:
+    magic = b"\x89MCAP0\r\n"
+    header = struct.pack("<BQII", 0x01, 8, 0, 0)
+    short_index = struct.pack("<BQI", 0x0A, 4, 0)  # of an attachment, without its places
+    footer = struct.pack("<BQQQI", 0x02, 20, len(magic + header), 0, 0)
+    file = tmp_path / "short.mcap"
+    file.write_bytes(magic + header + short_index + footer + magic)
+    assert attached_files(file) == {}

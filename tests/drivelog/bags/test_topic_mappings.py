@@ -12,6 +12,7 @@ import yaml
 from rosbags.typesys import get_types_from_msg
 
 from polemap.drivelog.errors import InputError, Mistakes
+from polemap.drivelog.readers.bags.mapping_file import read_mapping
 from polemap.drivelog.readers.registry import open_drive
 from tests.drivelog.bags.recordings import Ros, write_mcap, write_rosbag2
 from tests.drivelog.bags.streams import (
@@ -162,3 +163,10 @@ def forget_definitions(path: Path) -> None:
     with closing(sqlite3.connect(path)) as database:
         database.execute("DROP TABLE message_definitions")
         database.commit()
+
+
+def test_a_tab_within_a_topic_hides_no_mistake(tmp_path: Path) -> None:
+    file = tmp_path / "topics.yaml"
+    file.write_text("format_version: 1\ngnss:\n  topic: /fi\tx\nnonsense: 1\n")
+    with pytest.raises(InputError, match=r"line 4: .*nonsense"):
+        read_mapping(file)
