@@ -108,9 +108,7 @@ def build_without_reference(
         return seen[id(drive)]
 
     built = build_map(solved, settings.polemap, scans_of, frame=result.frame, align=align)
-    pole_map = built.pole_map
-    extra = {**pole_map.extra, **result.absolute_columns(pole_map)}
-    built = replace(built, pole_map=replace(pole_map, extra=extra))
+    built = replace(built, pole_map=result.with_precision(built.pole_map))
     return BuiltWithoutReference(built, solved, result)
 
 

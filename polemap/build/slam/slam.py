@@ -9,7 +9,7 @@ against the poles beside them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,26 @@ class SlamResult:
     summary: SlamSummary
     _state: State
     _shift_m: Floats
+    _relative_sd_m: Floats
+
+    def with_precision(self, pole_map: PoleMap) -> PoleMap:
+        """A map that was built with these poses, with what the graph knows of its poles.
+
+        Passes of one graph agree by construction, so that their disagreement, by which map
+        building measures a reference, says too little. What a pose is known to against the poles
+        beside it is added, as one error a pass; covariances to the earth come as columns.
+        """
+        if not len(pole_map):
+            return pole_map
+        routes = np.concatenate([route.poses[:, :2] for route in self._state.routes])
+        _, row = KDTree(routes).query(pole_map.points_m - self._shift_m)
+        passes = np.maximum(pole_map.extra["passes"], 1)
+        own = self._relative_sd_m[np.asarray(row)] ** 2 / passes
+        return replace(
+            pole_map,
+            covariance_m2=pole_map.covariance_m2 + own[:, None, None] * np.eye(2),
+            extra={**pole_map.extra, **self.absolute_columns(pole_map)},
+        )
 
     def absolute_columns(self, pole_map: PoleMap) -> dict[str, Floats]:
         """Columns of a map that was built from these drives: covariance to the earth `(n,)`.
@@ -181,7 +201,15 @@ def _result(
         low = np.clip(np.searchsorted(route.stamp_s, stamps, side="right") - 1, 0, len(route) - 1)
         trajectories.append(Trajectory(stamps, reference.poses, precision.absolute[rows][low]))
     summary = _summary(state, closed, precision, starts)
-    return SlamResult(frame, tuple(references), tuple(trajectories), summary, state, shift)
+    return SlamResult(
+        frame,
+        tuple(references),
+        tuple(trajectories),
+        summary,
+        state,
+        shift,
+        precision.relative_sd_m,
+    )
 
 
 def _summary(state: State, closed: Closed, precision: Precision, starts: Whole) -> SlamSummary:
