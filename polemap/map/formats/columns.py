@@ -21,6 +21,7 @@ DEFAULT_SD_M = 0.2
 DEFAULT_EXISTENCE = 0.9
 
 _WHOLE = ("id", "observations", "drives")
+_WHOLE_MOST = 2**53  # the largest up to which every whole number is a float of its own
 KNOWN = (
     "id", "width_m", "height_m", "var_east_m2", "var_north_m2", "cov_east_north_m2",
     "observations", "drives", "existence",
@@ -137,13 +138,20 @@ def _column(columns: Mapping[str, NDArray[Any]], name: str, n: int) -> NDArray[A
     if name not in columns:
         return None
     raw = np.asarray(columns[name])
-    if name in _WHOLE and raw.dtype.kind in "iu" and len(raw) == n:
+    unsigned = raw.dtype.kind == "u" and (not len(raw) or int(raw.max()) <= _WHOLE_MOST)
+    if name in _WHOLE and (raw.dtype.kind == "i" or unsigned) and len(raw) == n:
         return raw if name != "id" else raw.astype(np.int64, copy=False)
     try:
         # a lean map of a whole city stays lean
         values = raw if raw.dtype == np.float32 else np.asarray(raw, dtype=np.float64)
         if name in _WHOLE:
             values = np.where(np.isfinite(values), values, 0.0 if name != "id" else np.nan)
+            large = np.flatnonzero(np.abs(values) > _WHOLE_MOST)
+            if len(large):
+                raise InputError(
+                    f"pole map: row {large[0] + 1}, {name}: {values[large[0]]:.4g} is beyond what "
+                    f"a whole number holds ({_WHOLE_MOST:.0e}); number the poles anew"
+                )
             if name == "id" and not np.isfinite(values).all():
                 return values if np.isfinite(values).any() else None
             return values.astype(np.int64)

@@ -96,3 +96,17 @@ def test_geojson_of_a_local_frame_does_not_look_like_wgs84(tmp_path: Path) -> No
     system = geopandas.read_file(tmp_path / "m.geojson").crs
     assert system is None or not system.is_geographic
     assert read_map(tmp_path / "m.geojson").frame == local.frame
+
+
+@pytest.mark.parametrize("name", ["id", "observations"])
+@pytest.mark.parametrize("value", [2**63, 1e300, -1e19])
+def test_numbers_that_no_whole_number_holds_are_one_line(
+    tmp_path: Path, name: str, value: float
+) -> None:
+    points = np.array([388_500.0, 5_819_500.0]) + 20.0 * np.arange(8.0).reshape(4, 2)
+    path = tmp_path / "m.geojson"
+    document = _geojson(make_map(points, frame=EarthFrame("utm", 32633)), path)
+    document["features"][2]["properties"][name] = value
+    path.write_text(json.dumps(document), "utf-8")
+    with pytest.raises(InputError, match=f"{name}.*beyond what a whole number holds"):
+        read_map(path)
