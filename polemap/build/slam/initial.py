@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.constants import CALIBRATION_WALK
 from polemap.build.slam.graph import Graph
 from polemap.build.slam.noise import stated_noise
 from polemap.build.slam.route import Route
@@ -55,10 +56,8 @@ def lay_on_fixes(route: Route, config: SlamConfig) -> Route:
             ),
         )
         coarse = replace(coarse, poses=poses)
-        problem = build_problem(
-            [coarse.until(count)], NO_SIGHTINGS, NO_LINKS, config, stated_noise(config)
-        )
-        solved = Graph(problem, (calibration_sd(config), config.calibration_walk)).solve(_STEPS)
+        problem = build_problem([coarse.until(count)], NO_SIGHTINGS, NO_LINKS, stated_noise(config))
+        solved = Graph(problem, (calibration_sd(), CALIBRATION_WALK)).solve(_STEPS)
         poses = coarse.poses.copy()
         poses[:count] = solved.poses
         coarse = replace(coarse, poses=poses).with_calibration(solved.calibration)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.constants import LOOP_MARGIN
 from polemap.build.slam.matching import Placement, corrected, place
 from polemap.build.slam.submaps import Submap
 from polemap.vehicle.kalman import chi_square_quantile
@@ -101,7 +102,7 @@ def find_loops(
             continue
         best = placements[0]
         rival = max([0.0, *(other.log_odds for other in placements[1:])])
-        if best.log_odds - rival < config.loop_margin:
+        if best.log_odds - rival < LOOP_MARGIN:
             ambiguous += 1
             continue
         if best.prior2 > _PRIOR_GATE:

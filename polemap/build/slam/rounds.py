@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from polemap.build.config import MappingConfig
 from polemap.build.slam.association import Seen, poles, see
 from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.constants import CALIBRATION_WALK, ROUNDS_MOST
 from polemap.build.slam.graph import LINK_SCALE, Graph
 from polemap.build.slam.loops import Found, Loop, find_loops
 from polemap.build.slam.noise import Noise, measure_noise
@@ -79,8 +80,8 @@ class Builder:
         steps: int = _STEPS,
     ) -> State:
         """Solve, with links that pull from afar first where `scales` says so."""
-        sds = (calibration_sd(self._config), self._config.calibration_walk)
-        problem = build_problem(routes, seen.sightings, link, self._config, noise, extra_m=extra_m)
+        sds = (calibration_sd(), CALIBRATION_WALK)
+        problem = build_problem(routes, seen.sightings, link, noise, extra_m=extra_m)
         for scale in scales:
             begun = Graph(problem, sds, scale).solve(4)
             problem = replace(problem, poses=begun.poses, points_m=begun.points_m)
@@ -96,11 +97,11 @@ class Builder:
 
     def calibrate(self, routes: Sequence[Route], noise: Noise) -> list[Route]:
         """Routes dead reckoned anew with the calibration that poles alone show."""
-        sds = (calibration_sd(self._config), self._config.calibration_walk)
+        sds = (calibration_sd(), CALIBRATION_WALK)
         routes = list(routes)
         for _ in range(_WINDOW_ROUNDS):
             seen = self.associate(routes)
-            problem = build_problem(routes, seen.sightings, NO_LINKS, self._config, noise)
+            problem = build_problem(routes, seen.sightings, NO_LINKS, noise)
             solution = Graph(in_windows(problem, routes), sds).solve(_STEPS)
             routes = [route.reckoned() for route in _moved(routes, solution)]
         return routes
@@ -131,8 +132,8 @@ def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[Sta
     refused: dict[tuple[int, int], int] = {}
     taken_back = ambiguous = rounds = 0
     seen = state.seen
-    for rounds in range(1, config.rounds_max + 1):  # noqa: B007
-        submaps = submaps_of(state, config)
+    for rounds in range(1, ROUNDS_MOST + 1):  # noqa: B007
+        submaps = submaps_of(state)
         anchors = np.array([submap.anchor for submap in submaps], dtype=np.int64)
         covariance = state.graph.covariance(anchors, np.empty(0, dtype=np.int64))
         known = set(loops) | {pair for pair, times in refused.items() if times >= 2}
@@ -174,17 +175,17 @@ def _broken(
     return broken
 
 
-def submaps_of(state: State, config: SlamConfig) -> list[Submap]:
+def submaps_of(state: State) -> list[Submap]:
     landmarks = state.seen.landmarks
     return cut_submaps(
         state.routes, state.seen.sightings, state.solution.points_m, landmarks.width_m,
-        landmarks.kind, config,
+        landmarks.kind,
     )  # fmt: skip
 
 
-def settle(builder: Builder, state: State, config: SlamConfig) -> State:
+def settle(builder: Builder, state: State) -> State:
     """Join passes to poles and solve, until the poses stay where they are."""
-    for _ in range(config.rounds_max):
+    for _ in range(ROUNDS_MOST):
         seen = builder.associate(state.routes)
         points, link = builder.poles(seen)
         after = builder.solve(state.routes, seen, builder.measured(state), link, points)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.constants import CALIBRATION_S, KEYFRAME_M
 from polemap.build.slam.motion import (
     CALIBRATION,
     Increments,
@@ -134,7 +134,6 @@ def open_route(
     drive: Drive,
     frame: EarthFrame,
     shift_m: Floats,
-    config: SlamConfig,
     noise: MotionNoise,
 ) -> Route:
     """A drive's route by dead reckoning alone, in `frame` less `shift_m`.
@@ -150,8 +149,8 @@ def open_route(
             "of the car: add odometry.csv, or frames for --odometry camera"
         )
     nominal = dead_reckon(odometry, np.zeros(len(CALIBRATION)), noise)
-    stamps = keyframe_stamps(nominal, config.keyframe_m)
-    times = int(max(1, round((stamps[-1] - stamps[0]) / config.calibration_s)))
+    stamps = keyframe_stamps(nominal, KEYFRAME_M)
+    times = int(max(1, round((stamps[-1] - stamps[0]) / CALIBRATION_S)))
     starts = np.linspace(stamps[0], stamps[-1], times + 1)[:-1]
     fix_s, fix_m, hdop = _fixes(drive, frame, shift_m, stamps)
     zero = np.zeros((times, len(CALIBRATION)))

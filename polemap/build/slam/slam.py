@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from polemap.build.config import MappingConfig
 from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.constants import KEYFRAME_M, SUBMAP_M
 from polemap.build.slam.initial import FIXES_MIN, lay_on_fixes
 from polemap.build.slam.motion import CALIBRATION, MotionNoise
 from polemap.build.slam.noise import seen_residuals, stated_noise
@@ -128,8 +129,8 @@ def solve_slam(
         MissingExtraError: gtsam is not installed.
     """
     frame, shift = _origin(drives, frame)
-    opened = [open_route(name, drive, frame, shift, config, noise) for name, drive in drives]
-    _check(opened, scans, config)
+    opened = [open_route(name, drive, frame, shift, noise) for name, drive in drives]
+    _check(opened, scans)
     routes: Sequence[Route] = [lay_on_fixes(route, config) for route in opened]
     builder = Builder(scans, mapping, config, frame)
     level = stated_noise(config)
@@ -140,8 +141,8 @@ def solve_slam(
         seen = builder.associate(state.routes)
         state = builder.solve(state.routes, seen, builder.measured(state))
     state, closed = close_loops(builder, state, config)
-    state = settle(builder, state, config)
-    return _result(state, closed, scans, frame, shift, config)
+    state = settle(builder, state)
+    return _result(state, closed, scans, frame, shift)
 
 
 def _origin(drives: Sequence[tuple[str, Drive]], frame: EarthFrame) -> tuple[EarthFrame, Floats]:
@@ -155,15 +156,13 @@ def _origin(drives: Sequence[tuple[str, Drive]], frame: EarthFrame) -> tuple[Ear
     return frame, np.round(middle / _SHIFT_M) * _SHIFT_M if fixed[0].frame == frame else np.zeros(2)
 
 
-def _check(
-    routes: Sequence[Route], scans: Sequence[Sequence[Detections]], config: SlamConfig
-) -> None:
+def _check(routes: Sequence[Route], scans: Sequence[Sequence[Detections]]) -> None:
     for route, part in zip(routes, scans, strict=True):
         if not len(part):
             raise InputError(
                 f"drive {route.name}: it has no scan; a map needs poles that were seen"
             )
-        if route.path.travelled_m[-1] < config.keyframe_m:
+        if route.path.travelled_m[-1] < KEYFRAME_M:
             raise InputError(
                 f"drive {route.name}: its odometry says that the car stood still; without a "
                 "reference a map needs a car that moves"
@@ -182,11 +181,10 @@ def _result(
     scans: Sequence[Sequence[Detections]],
     frame: EarthFrame,
     shift: Floats,
-    config: SlamConfig,
 ) -> SlamResult:
     starts = pose_starts(state.routes)
-    submaps = np.array([submap.anchor for submap in submaps_of(state, config)], dtype=np.int64)
-    every = round(config.submap_m / config.keyframe_m)
+    submaps = np.array([submap.anchor for submap in submaps_of(state)], dtype=np.int64)
+    every = round(SUBMAP_M / KEYFRAME_M)
     anchors = anchor_keyframes(starts, submaps, every)
     precision = pose_precision(state.graph, state.solution, anchors, starts)
     references, trajectories = [], []

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.constants import SUBMAP_M
 from polemap.build.slam.route import Route
 from polemap.build.slam.tables import Sightings, pose_starts
 from polemap.vehicle.pose import inverse_transform_points
@@ -50,14 +50,13 @@ def cut_submaps(
     points_m: Floats,
     width_m: Floats,
     kind: NDArray[np.int8],
-    config: SlamConfig,
 ) -> list[Submap]:
     """Local maps of every stretch of `submap_m`, at the poses and landmarks solved so far."""
     starts = pose_starts(routes)
     submaps = []
     for number, route in enumerate(routes):
         way = np.interp(route.stamp_s, route.path.stamp_s, route.path.travelled_m)
-        count = max(1, round(way[-1] / config.submap_m))
+        count = max(1, round(way[-1] / SUBMAP_M))
         part = np.minimum((way / max(way[-1], 1e-9) * count).astype(np.int64), count - 1)
         for stretch in range(count):
             mine = np.flatnonzero(part == stretch)

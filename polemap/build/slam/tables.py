@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.constants import (
+    CURVATURE_OFFSET_SD_RADPM,
+    GNSS_WHITE_M,
+    POLE_FLOOR_M,
+    SAME_POLE_SD_M,
+    SIDESLIP_SD_RAD,
+    SLIP_SD_RAD_PER_MPS2,
+    SPEED_SCALE_SD,
+    YAW_RATE_OFFSET_SD_RADPS,
+    YAW_RATE_SCALE_SD,
+)
 from polemap.build.slam.noise import Noise
 from polemap.build.slam.problem import Problem
 from polemap.build.slam.route import Route
@@ -68,7 +78,6 @@ def build_problem(
     routes: Sequence[Route],
     sightings: Sightings,
     link: Whole,
-    config: SlamConfig,
     noise: Noise,
     *,
     extra_m: Floats | None = None,
@@ -76,7 +85,7 @@ def build_problem(
     """The tables of the graph; `extra_m` `(q, 2)` are further landmarks, which links tie."""
     starts = pose_starts(routes)
     rows = np.cumsum([0, *(len(route.calibration) for route in routes)])
-    columns = [_route_columns(route, config, noise) for route in routes]
+    columns = [_route_columns(route, noise) for route in routes]
     biases = np.cumsum([0, *(len(route.fix_s) for route in routes)])
     extra = np.empty((0, 2)) if extra_m is None else extra_m
     origin = [start for start, route in zip(starts, routes, strict=False) if not len(route.fix_s)]
@@ -103,50 +112,48 @@ def build_problem(
         seen=sightings.landmark,
         seen_m=sightings.point_m,
         seen_covariance_m2=noise.seen_variance
-        * (sightings.covariance_m2 + np.eye(2) * config.pole_floor_m**2),
+        * (sightings.covariance_m2 + np.eye(2) * POLE_FLOOR_M**2),
         fix_from=np.concatenate([c[0] + s for c, s in zip(columns, starts, strict=False)]),
         fix_bias=np.concatenate(
             [np.arange(len(r.fix_s)) + b for r, b in zip(routes, biases, strict=False)]
         ),
         fix_m=np.concatenate([route.fix_m for route in routes]),
         fix_antenna_m=np.concatenate([c[1] for c in columns]),
-        fix_sd_m=np.concatenate([_white(config, noise) * route.hdop for route in routes]),
+        fix_sd_m=np.concatenate([_white(noise) * route.hdop for route in routes]),
         bias_sd_m=np.concatenate([c[2] for c in columns]),
         bias_share=np.concatenate([c[3] for c in columns]),
         link=link,
-        link_sd_m=np.full(len(link), config.same_pole_sd_m),
+        link_sd_m=np.full(len(link), SAME_POLE_SD_M),
         origin=np.array(origin[:1], dtype=np.int64),
     )
 
 
-def _route_columns(
-    route: Route, config: SlamConfig, noise: Noise
-) -> tuple[Whole, Floats, Floats, Floats]:
+def _route_columns(route: Route, noise: Noise) -> tuple[Whole, Floats, Floats, Floats]:
     """Keyframe, antenna, and sd and correlation of the bias of every fix."""
     keyframe = route.keyframe_of(route.fix_s)
     offset = route.from_keyframe(keyframe, route.fix_s)
     antenna = rotate(np.broadcast_to(route.antenna_m, (len(offset), 2)), offset[:, 2])
-    lasting = np.sqrt(noise.fix_sd_m**2 - _white(config, noise) ** 2)
+    lasting = np.sqrt(noise.fix_sd_m**2 - _white(noise) ** 2)
     share = np.zeros(len(route.fix_s))
     share[1:] = np.exp(-np.diff(route.fix_s) / noise.fix_correlation_s)
     return keyframe, antenna + offset[:, :2], lasting * route.hdop, share
 
 
-def _white(config: SlamConfig, noise: Noise) -> float:
+def _white(noise: Noise) -> float:
     """The part of a fix's error that does not last; most of it does."""
-    return min(config.gnss_white_m, 0.5 * noise.fix_sd_m)
+    return min(GNSS_WHITE_M, 0.5 * noise.fix_sd_m)
 
 
-def calibration_sd(config: SlamConfig) -> Floats:
+def calibration_sd() -> Floats:
     """What the calibration is known to beforehand, `(6,)`."""
     return np.array(
         [
-            config.speed_scale_sd,
-            config.yaw_rate_scale_sd,
-            config.yaw_rate_offset_sd_radps,
-            config.curvature_offset_sd_radpm,
-            config.sideslip_sd_rad,
-            config.slip_sd_rad_per_mps2,
+            SPEED_SCALE_SD,
+            YAW_RATE_SCALE_SD,
+            YAW_RATE_OFFSET_SD_RADPS,
+            CURVATURE_OFFSET_SD_RADPM,
+            SIDESLIP_SD_RAD,
+            SLIP_SD_RAD_PER_MPS2,
         ]
     )
 
