@@ -97,12 +97,12 @@ def command(
     --follow localizes while a drive is being recorded: a JSON line a pose on stdout, 100 a second,
     or --serve; see docs/live.md.
     """
-    settings = load_settings(config, set_values)
     if followed is not None:
         check_options({"a drive": drive is not None, "--lap": lap is not None, "--runs": runs > 1,
                        "--cache": cache is not None, "--workers": workers is not None,
                        "--odometry": odometry != "auto"})  # fmt: skip
         _check_map(map_file, without_poles)
+        settings = load_settings(config, set_values)
         given = Asked(
             followed, map_file, car, topics, out, serve, idle_s, delay_s or 0.0, seed, settings
         )
@@ -113,6 +113,7 @@ def command(
                           "--delay": delay_s})  # fmt: skip
     check_folder(out, "run", (drive, map_file, cache, config, topics))
     _check_map(map_file, without_poles)
+    settings = load_settings(config, set_values)
     processes = workers or cpu_count() or 1
     source = Source(str(drive), lap, None if topics is None else str(topics), odometry)
     opened = source.open()
