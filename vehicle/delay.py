@@ -11,6 +11,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from enum import Enum
+from math import sqrt
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -228,16 +229,28 @@ class ClonedFilter:
         row *= gain
         self.x += row
 
-    def row(self, jacobian: Floats, residual: float, variance: float) -> None:
-        """A measurement of one number with `jacobian` `(size,)`, in the short form of `scalar`."""
+    def row(
+        self, jacobian: Floats, residual: float, variance: float, outlier_sd: float = float("inf")
+    ) -> bool:
+        """A measurement of one number with `jacobian` `(size,)`, in the short form of `scalar`.
+
+        One beyond `outlier_sd` of its predicted deviations is weighed down as Huber has it.
+
+        Returns:
+            Whether it was.
+        """
         cross = self._row
         np.dot(self.p, jacobian, out=cross)
-        s = float(jacobian @ cross) + variance
+        s = float(jacobian.dot(cross)) + variance
+        wild = residual * residual > outlier_sd * outlier_sd * s
+        if wild:
+            s = abs(residual) * sqrt(s) / outlier_sd
         np.multiply.outer(cross, cross, out=self._outer)
         self._outer /= s
         self.p -= self._outer
         cross *= residual / s
         self.x += cross
+        return wild
 
     def capture(self, stamp_s: float) -> None:
         """Clone `S x`; the oldest capture is given up where no slot is free."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,11 +273,8 @@ class NonlinearKalman:
 
     def _take(self, row: Floats, residual: float, variance: float, what: str) -> None:
         """One number, weighed down where it stands too far off."""
-        s = float(row @ self._filter.p @ row) + variance
-        if residual * residual > _OUTLIER_SD * _OUTLIER_SD * s:
+        if self._filter.row(row, residual, variance, _OUTLIER_SD):
             self._count(f"{what} beyond {_OUTLIER_SD:g} deviations, weighed down")
-            variance += abs(residual) * sqrt(s) / _OUTLIER_SD - s
-        self._filter.row(row, residual, variance)
 
     def _course(self, course_rad: float, speed_mps: float, stamp_s: float) -> None:
         f = self._filter
