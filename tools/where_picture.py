@@ -15,6 +15,8 @@ from polemap.vehicle.pose import transform_points
 
 _AROUND_M = 40.0
 _WIDTH_IN = 9.0
+# the car, its tip ahead, in its own frame
+_ARROW_M = np.array([[4.5, 0.0], [-1.5, 1.8], [0.0, 0.0], [-1.5, -1.8]])
 
 
 def draw_place(index: PatternIndex, found: Found, path: Path) -> None:
@@ -41,7 +43,7 @@ def draw_place(index: PatternIndex, found: Found, path: Path) -> None:
     axes.plot(*way.T, "-", color="tab:green", label="way driven")
     axes.plot(*seen[matched].T, "o", color="tab:blue", mfc="none", label="seen, on the map's")
     axes.plot(*seen[~matched].T, "x", color="tab:red", label="seen, not in the map")
-    axes.plot(*pose[:2], ">", color="black", markersize=9)
+    axes.fill(*transform_points(pose, _ARROW_M).T, color="black", label="car")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="east, m", ylabel="north, m")
     axes.set_aspect("equal")
     axes.legend(loc="best")
