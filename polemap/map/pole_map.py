@@ -208,30 +208,31 @@ class PoleMap:
         )
 
 
-def join_maps(first: PoleMap, second: PoleMap) -> PoleMap:
-    """The rows of two maps of one frame, one after the other; extra columns that both have, and
-    the kind."""
+def join_maps(*maps: PoleMap) -> PoleMap:
+    """The rows of maps of one frame, one after the other; extra columns that all have, and the
+    kind."""
+    first = maps[0]
 
-    def both(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(first, name), getattr(second, name)])
+    def all_of(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(one, name) for one in maps])
 
     extra = {
-        name: np.concatenate([values, second.extra[name]])
-        for name, values in first.extra.items()
-        if name in second.extra
+        name: np.concatenate([one.extra[name] for one in maps])
+        for name in first.extra
+        if all(name in one.extra for one in maps)
     }
-    if KIND_COLUMN in first.extra or KIND_COLUMN in second.extra:
-        extra[KIND_COLUMN] = both("kind")
+    if any(KIND_COLUMN in one.extra for one in maps):
+        extra[KIND_COLUMN] = all_of("kind")
     return PoleMap(
         frame=first.frame,
-        ids=both("ids"),
-        points_m=both("points_m"),
-        covariance_m2=both("covariance_m2"),
-        width_m=both("width_m"),
-        height_m=both("height_m"),
-        observations=both("observations"),
-        drives=both("drives"),
-        existence=both("existence"),
+        ids=all_of("ids"),
+        points_m=all_of("points_m"),
+        covariance_m2=all_of("covariance_m2"),
+        width_m=all_of("width_m"),
+        height_m=all_of("height_m"),
+        observations=all_of("observations"),
+        drives=all_of("drives"),
+        existence=all_of("existence"),
         extra=extra,
-        notes=(*first.notes, *second.notes),
+        notes=tuple(note for one in maps for note in one.notes),
     )

@@ -19,7 +19,7 @@ from polemap.map.city.statistics import MapStatistics
 from polemap.map.crowds import check_crowds
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pattern_index.io import read_index
-from polemap.map.pole_map import PoleMap
+from polemap.map.pole_map import PoleMap, join_maps
 
 Floats = NDArray[np.float64]
 Key = tuple[int, ...]
@@ -316,7 +316,8 @@ class CityMap:
                 rows.append(tile.rows[chosen])
         if not parts:
             return PoleMap.empty(self.frame)
-        return join_all(parts).rows(np.argsort(np.concatenate(rows), kind="stable"))
+        joined = replace(join_maps(*parts), notes=())
+        return joined.rows(np.argsort(np.concatenate(rows), kind="stable"))
 
 
 def statistics_of(pole_map: PoleMap | CityMap) -> MapStatistics:
@@ -331,27 +332,6 @@ def along(
     if isinstance(pole_map, CityMap):
         return pole_map.poles_along(path_m, radius_m, columns)
     return pole_map
-
-
-def join_all(parts: Sequence[PoleMap]) -> PoleMap:
-    """Maps of one frame and the same columns, one after the other."""
-    first = parts[0]
-
-    def all_of(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    return PoleMap(
-        frame=first.frame,
-        ids=all_of("ids"),
-        points_m=all_of("points_m"),
-        covariance_m2=all_of("covariance_m2"),
-        width_m=all_of("width_m"),
-        height_m=all_of("height_m"),
-        observations=all_of("observations"),
-        drives=all_of("drives"),
-        existence=all_of("existence"),
-        extra={name: np.concatenate([part.extra[name] for part in parts]) for name in first.extra},
-    )
 
 
 def _box_in(box: Floats, frame: EarthFrame, other: EarthFrame) -> Floats:

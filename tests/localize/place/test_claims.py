@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polemap.drivelog.detections import Detections
-from polemap.drivelog.samples import GnssFix, OdometrySample
+from polemap.drivelog.samples import GnssFix
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
@@ -22,6 +21,7 @@ from polemap.map.pattern_index.io import index_file, write_index
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import compose, relative
 from tests.localize.place.town import drive_in, index_of, town
+from tests.localize.point_drives import play
 from tests.pole_maps import plain_map
 
 FEW = LocalizeConfig(particles=50)
@@ -33,16 +33,7 @@ def driven(
     drive, _ = drive_in(0, seed)
     made = ParticleFilter(pole_map, FEW, 2.7, np.random.default_rng(0))
     samples = sorted([*drive.samples(), *fixes], key=lambda sample: sample.stamp_s)
-    estimates = []
-    for sample in samples:
-        if isinstance(sample, OdometrySample):
-            made.add_odometry(sample)
-        elif isinstance(sample, GnssFix):
-            made.add_fix(sample)
-        elif isinstance(sample, Detections):
-            estimate = made.process_scan(sample)
-            estimates += [] if estimate is None else [estimate]
-    return estimates, made
+    return play(made, samples), made
 
 
 def off_m(estimate: PfEstimate, seed: int) -> float:
