@@ -179,7 +179,10 @@ def campaign(seconds: float, seed: int, out: Path, only: str | None = None) -> i
         _write(out, seed, begin, tried, peak_kb, crashes, findings)
     for (name, _), (wrong, count, _data) in sorted(findings.items()):
         print(f"{name}: {wrong} ({count} times)")
-    print(f"{sum(tried.values())} inputs, {len(findings)} findings, peak {peak_kb // 1024} MB")
+    print(
+        f"{sum(tried.values())} inputs in {_cpu_seconds() / 3600:.2f} CPU hours, "
+        f"{len(findings)} findings, peak {peak_kb // 1024} MB"
+    )
     return len(findings)
 
 
@@ -198,6 +201,8 @@ def _write(
     document = {
         "seed": seed,
         "seconds": round(time.monotonic() - begin),
+        # of the children that have ended: what low priority on a busy machine really got
+        "cpu_seconds": round(_cpu_seconds()),
         "inputs": sum(tried.values()),
         "by_kind": dict(sorted(tried.items())),
         "peak_mb": peak_kb // 1024,
@@ -208,6 +213,11 @@ def _write(
         ],
     }
     write_results(out, document)
+
+
+def _cpu_seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _functions(*packages: str) -> list[FunctionType]:
