@@ -16,6 +16,7 @@ from polemap.drivelog.plausibility import (
     places,
     poles,
     reference,
+    resolution,
     rows,
     stretches,
     time,
@@ -40,6 +41,7 @@ def check_drive(drive: Drive) -> list[Finding]:
     found = list(drive.findings)
     found += time.rate_findings(drive) + time.overlap_findings(drive)
     found += time.gap_findings(drive) + rows.row_findings(drive)
+    found += resolution.resolution_findings(drive)
     found += absolute.duplicate_findings(drive) + absolute.vehicle_findings(drive)
     found += absolute.camera_findings(drive)
     found += absolute.gnss_findings(drive) + absolute.pole_findings(drive)

@@ -38,13 +38,16 @@ _FEW = 12
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A motion as it would be if something were wrong: factors on way and turn; scans exchanged."""
+    """A motion as it would be if something were wrong: factors on way and turn; other axes.
+
+    `axes` has the rows of the matrix that brings points as given to x ahead, y left.
+    """
 
     kind: str
     text: str
     way: float = 1.0
     turn: float = 1.0
-    exchanged: bool = False
+    axes: tuple[tuple[int, int], tuple[int, int]] | None = None
 
 
 AS_TOLD = Mistake("", "")
@@ -52,7 +55,9 @@ MISTAKES = (
     Mistake("pole_turn", "turn to the other side", turn=-1.0),
     Mistake("pole_direction", "move the other way", way=-1.0),
     Mistake("pole_direction", "move the other way and turn to the other side", way=-1.0, turn=-1.0),
-    Mistake("pole_axes", "fit with x_m and y_m exchanged", exchanged=True),
+    Mistake("pole_axes", "fit with x_m and y_m exchanged", axes=((0, 1), (1, 0))),
+    Mistake("pole_axes", "fit with x_m to the right and y_m ahead", axes=((0, 1), (-1, 0))),
+    Mistake("pole_axes", "fit with x_m to the left and y_m backward", axes=((0, -1), (1, 0))),
     Mistake("pole_speed", "fit a speed 3.6 times smaller (km/h)", way=1 / 3.6),
     Mistake("pole_speed", "fit a speed 3.6 times larger", way=3.6),
     Mistake("pole_speed", "fit a speed 2.24 times smaller (mph)", way=0.44704),
@@ -84,13 +89,11 @@ class Scans:
     covariance_m2: Floats
     there: NDArray[np.bool_]
 
-    def exchanged(self) -> Scans:
-        """With x and y exchanged."""
+    def in_axes(self, axes: tuple[tuple[int, int], tuple[int, int]]) -> Scans:
+        """As they are when the points as given are multiplied by a matrix."""
+        turn = np.array(axes, dtype=np.float64)
         return Scans(
-            self.stamp_s,
-            self.points_m[..., ::-1],
-            self.covariance_m2[..., ::-1, ::-1],
-            self.there,
+            self.stamp_s, self.points_m @ turn.T, turn @ self.covariance_m2 @ turn.T, self.there
         )
 
 
@@ -156,8 +159,9 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     way, turn, known = motion.spans(pairs.first.stamp_s + lag_s, pairs.second.stamp_s + lag_s)
     way, turn = way * mistake.way, turn * mistake.turn
     moves = move_along_arc(np.zeros(3), way, turn)[:, None]
-    first = pairs.first.exchanged() if mistake.exchanged else pairs.first
-    second = pairs.second.exchanged() if mistake.exchanged else pairs.second
+    first, second = pairs.first, pairs.second
+    if mistake.axes is not None:
+        first, second = first.in_axes(mistake.axes), second.in_axes(mistake.axes)
     moved = rotate_back(first.points_m - moves[..., :2], moves[..., 2])
     spread = rotate_covariance(first.covariance_m2, -turn[:, None])
     total = spread[:, :, None] + second.covariance_m2[:, None] + _FLOOR_M2 * np.eye(2)

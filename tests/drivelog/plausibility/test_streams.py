@@ -10,7 +10,7 @@ import pytest
 
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
-from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.frames import EarthFrame, geographic_from_grid, grid_from_geographic
 from polemap.drivelog.plausibility.check import check_drive
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.pose import wrap_angle
@@ -71,6 +71,19 @@ def _turned(angle: float) -> Callable[[Drive], Drive]:
         return with_reference(drive, poses=poses)
 
     return made
+
+
+def _rounded(drive: Drive, decimals: int) -> Drive:
+    places = geographic_from_grid(
+        drive.frame, np.stack([drive.gnss.east_m, drive.gnss.north_m], axis=1)
+    )
+    there = grid_from_geographic(drive.frame, *np.round(places, decimals).T)
+    return with_gnss(drive, east_m=there[:, 0], north_m=there[:, 1])
+
+
+def _held(drive: Drive, rows: int) -> Drive:
+    measured = np.arange(len(drive.reference)) // rows * rows
+    return with_reference(drive, poses=drive.reference.poses[measured])
 
 
 def _all_stamps(factor: float) -> Callable[[Drive], Drive]:
@@ -165,6 +178,13 @@ MISTAKES: dict[str, tuple[Callable[[Drive], Drive], str, str, str]] = {
                      "error"),
     "poles with x and y exchanged": (lambda d: with_points(d, lambda p: p[:, ::-1]), "pole_axes",
                                      "poles.csv", "error"),
+    "poles in the axes of a camera": (lambda d: with_points(d, lambda p: p[:, ::-1] * [-1.0, 1.0]),
+                                      "pole_axes", "poles.csv", "error"),
+    "poles turned to the left": (lambda d: with_points(d, lambda p: p[:, ::-1] * [1.0, -1.0]),
+                                 "pole_axes", "poles.csv", "error"),
+    "fixes with four decimals": (lambda d: _rounded(d, 4), "gnss_rounded", "gnss.csv", "warning"),
+    "fixes with five decimals": (lambda d: _rounded(d, 5), "gnss_rounded", "gnss.csv", "warning"),
+    "reference held": (lambda d: _held(d, 25), "reference_held", "reference.csv", "warning"),
     "poles in feet": (lambda d: with_points(d, lambda p: p / 0.3048), "pole_speed", "poles.csv",
                       "error"),
     "poles in mm": (lambda d: with_points(d, lambda p: p * 1000.0), "pole_range", "poles.csv",
