@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
-from polemap.map.city.city_map import Area, CityMap, box_around, inside
+from polemap.map.city.city_map import CityMap
+from polemap.map.city.tiles import Area, box_around, inside
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import transform_points
 
@@ -29,6 +30,8 @@ Floats = NDArray[np.float64]
 NEEDED_M = 300.0
 # so much is read: at 50 km/h, one read in twenty seconds, which takes a hundredth of one
 LOADED_M = 600.0
+# particles begin only where this share of it is known: as far as sensors see, and a fix may be off
+_START_SHARE = 0.5
 # the square is laid ahead of the car by the way of some seconds; a car that turns round keeps 450 m
 _AHEAD_S, _AHEAD_MAX_M = 5.0, 150.0
 # a pole seen so near the unknown may stand in it
@@ -110,6 +113,21 @@ class MapWindow:
             load.run()
             self._show(load, city)
 
+    def opened_at(self, poses: Floats) -> bool:
+        """Whether the poles around where a start's poses `(n, 3)` lie are here; else they are read.
+
+        Poses around a fix find the window that the fix has opened; those of a claimed place in a
+        city may lie anywhere.
+        """
+        if self._city is None:
+            return True
+        middle = np.median(poses[:, :2], axis=0)
+        self.follow([middle], np.zeros(2))
+        opened = self._area is not None and _reaches_around(self._area.boxes, middle, _START_SHARE)
+        if not opened:
+            self._counts["scans_before_map"] += 1
+        return opened
+
     def mapped(self, scan: Detections, pose: Floats) -> Detections:
         """What of a scan can be held against the map from a pose `(3,)`.
 
@@ -181,7 +199,9 @@ def _boxes_for(places_m: Sequence[Floats], velocity_mps: Floats) -> Floats:
     return boxes
 
 
-def _reaches_around(boxes: Floats, place: Floats) -> bool:
-    """Whether one of the boxes `(k, 4)` reaches as far around a place as must be known."""
-    low, high = boxes[:, :2] + NEEDED_M, boxes[:, 2:] - NEEDED_M
+def _reaches_around(boxes: Floats, place: Floats, share: float = 1.0) -> bool:
+    """Whether one of the boxes `(k, 4)` reaches as far around a place as must be known, or so
+    large a share of it."""
+    reach_m = share * NEEDED_M
+    low, high = boxes[:, :2] + reach_m, boxes[:, 2:] - reach_m
     return bool(((place >= low) & (place <= high)).all(axis=1).any())

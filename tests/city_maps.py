@@ -8,10 +8,11 @@ from threading import Event
 
 import pytest
 
-from polemap.map.city.city_map import CityMap, Tile
+from polemap.map.city.city_map import CityMap
 from polemap.map.city.io import open_city
 from polemap.map.city.packing import packed_order
 from polemap.map.city.parquet.io import write_tiles
+from polemap.map.city.tiles import Tile
 from polemap.map.formats.geopackage.io import write_geopackage
 from polemap.map.pole_map import PoleMap
 

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from os.path import isfile
 from pathlib import Path
 
 import typer
 
 from polemap.build.city.work import on_workers
-from polemap.drivelog.errors import InputError, OutputError
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.jobs import LocalWorkers, Workers
-from polemap.map.io import read_map
-from polemap.map.pattern_index.build import build_index
+from polemap.map.city.city_map import CityMap
+from polemap.map.city.io import open_map
+from polemap.map.map_files import State, map_state
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pattern_index.io import index_file, open_index, write_index
 from polemap.map.pole_map import PoleMap
+from polemap.parsing.errors import named
 from polemap.tools.progress import progress
 
 
 def opened_index(map_file: Path, frame: EarthFrame, workers: int) -> PatternIndex:
-    """The index beside a map, built on first need; in memory where it cannot be kept.
+    """The index beside a map or folder of maps, built on first need; in memory where it cannot
+    be kept.
 
     Args:
         frame: the drive's: that of a table of coordinates alone, others say theirs.
@@ -29,28 +31,35 @@ def opened_index(map_file: Path, frame: EarthFrame, workers: int) -> PatternInde
     Raises:
         InputError: the map cannot be read.
     """
-    if not isfile(map_file):
-        raise InputError(f"{map_file}: no such map")
-
-    def load() -> PoleMap:
-        return read_map(map_file, frame if map_file.suffix.lower() == ".csv" else None)
-
-    def say(message: str) -> None:
-        typer.echo(f"note: {message}", err=True)
-
     with progress(None, "index of patterns") as advance:
-        run = on_workers(LocalWorkers(workers), advance)
-        try:
-            return open_index(map_file, load, say=say, run=run)
-        except (OutputError, PermissionError) as error:
-            say(f"{index_file(map_file)}: cannot be kept ({error}); built for this call only")
-            return build_index(load(), run=run)[0]
+        return open_index(
+            map_file,
+            lambda: _opened(map_file, frame),
+            say=lambda message: typer.echo(f"note: {message}", err=True),
+            run=on_workers(LocalWorkers(workers), advance),
+        )
 
 
 def make_index(map_file: Path, workers: Workers) -> None:
-    """Build the index of a map that was just written, and say so."""
+    """Build the index of a map or folder of maps, and say so."""
+    state = _state(map_file)
     with progress(None, "index of patterns") as advance:
-        index = write_index(
-            read_map(map_file, allow_empty=True), map_file, run=on_workers(workers, advance)
-        )
+        run = on_workers(workers, advance)
+        index = write_index(_opened(map_file), map_file, run=run, state=state)
     typer.echo(f"{index_file(map_file)}: {index.triangles} triangles of {len(index)} poles")
+
+
+def _opened(map_file: Path, frame: EarthFrame | None = None) -> PoleMap | CityMap:
+    """A map in its own frame, by tiles where it can be."""
+    opened = open_map(
+        map_file, frame if map_file.suffix.lower() == ".csv" else None, allow_empty=True
+    )
+    if isinstance(opened, CityMap):
+        # every tile is read once
+        return opened.uncached()
+    return opened
+
+
+def _state(map_file: Path) -> State:
+    with named(map_file, InputError, "map"):
+        return map_state(map_file)

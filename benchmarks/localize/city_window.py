@@ -38,8 +38,9 @@ from polemap.drivelog.samples import GnssFix, OdometrySample
 from polemap.localize.config import LocalizeConfig, OdometryConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.map_window import LOADED_M
-from polemap.map.city.city_map import CityMap, box_around
+from polemap.map.city.city_map import CityMap
 from polemap.map.city.io import open_map
+from polemap.map.city.tiles import box_around
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import inverse_transform_points
 

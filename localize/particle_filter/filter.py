@@ -93,7 +93,8 @@ class ParticleFilter:
         self._calibration = OdometryCalibration(config.odometry)
         self._noise = NoiseScale(config.odometry)
         self._recovery = Recovery(poles, config.recovery, receiver, self._weigher, rng, self.counts)
-        self._recovery.search.use_patterns(patterns_of(pole_map))
+        self._in_background = load_in_background
+        self._use_patterns(pole_map)
         self._fixes = FixWeights(receiver)
         self._wheelbase_m = wheelbase_m
         self._particles = ParticleSet(config, wheelbase_m, rng)
@@ -169,7 +170,11 @@ class ParticleFilter:
     def exchange_map(self, pole_map: PoleMap | CityMap) -> None:
         """Hold the next scans against another map of the same frame; see `Localizer`."""
         self._window.exchange(pole_map)
-        self._recovery.search.use_patterns(patterns_of(pole_map))
+        self._use_patterns(pole_map)
+
+    def _use_patterns(self, pole_map: PoleMap | CityMap) -> None:
+        patterns = patterns_of(pole_map, background=self._in_background)
+        self._recovery.search.use_patterns(patterns, pole_map.frame)
 
     def process_scan(self, scan: Detections) -> PfEstimate | None:
         """Move to the scan's stamp, weigh, explore, estimate, resample.
@@ -223,7 +228,7 @@ class ParticleFilter:
                 return None
             count = _START_FACTOR * self._config.particles
             drawn = self._recovery.search.draw_start(count, stamp, odometry_pose, self._rng)
-            if len(drawn) == 0:
+            if len(drawn) == 0 or not self._window.opened_at(drawn):
                 return None
             self._particles.place_all(drawn, np.zeros(len(drawn)))
             event, share = "initialized", _FIRST_SHARE

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import GnssFix
 from polemap.localize.gnss.alignment import GnssAlignment, GnssPose
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
@@ -22,7 +21,7 @@ from polemap.localize.particle_filter.exploration import draw_poses
 from polemap.localize.particle_filter.health import Verdict
 from polemap.localize.particle_filter.recent_poles import RecentPoles
 from polemap.localize.place.claims import PlaceClaims
-from polemap.map.pattern_index.index import PatternIndex
+from polemap.localize.place.patterns import MapPatterns
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -70,14 +69,18 @@ class PlaceSearch:
         """Go on with other poles, of the same frame."""
         self._index = ConstellationIndex(pole_map)
 
-    def use_patterns(self, index: Callable[[], PatternIndex | None] | None) -> None:
-        """Search a large map by its patterns where no fix narrows the search, see `patterns_of`."""
-        if index is None:
+    def use_patterns(self, patterns: MapPatterns | None, frame: EarthFrame) -> None:
+        """Search a large map by its patterns where no fix narrows the search, see `patterns_of`.
+
+        Args:
+            frame: of the places.
+        """
+        if patterns is None:
             self._claims = None
         elif self._claims is None:
-            self._claims = PlaceClaims(index)
+            self._claims = PlaceClaims(patterns, frame)
         else:
-            self._claims.use_index(index)
+            self._claims.use_patterns(patterns)
 
     def add_fix(self, fix: GnssFix, odometry_pose: Floats) -> None:
         """Take in a fix and the dead-reckoned pose `(3,)` of its moment."""
@@ -186,7 +189,7 @@ class PlaceSearch:
         self, odometry_pose: Floats, gnss: GnssPose | None, rng: np.random.Generator
     ) -> Candidates:
         if gnss is None and self._claims is not None:
-            return self._claimed(odometry_pose)
+            return self._claimed(odometry_pose, needed=True)
         points = self._recent.around(odometry_pose)
         # one less than a proof where a fix narrows the search: without one, chance matches abound
         least = self._enough(gnss) if gnss is None else self._enough(gnss) - 1
@@ -207,12 +210,14 @@ class PlaceSearch:
         if len(found) and found.matched[0] >= self._enough(gnss):
             return found
         # nothing there looks like the way: the fix may be wrong
-        claimed = self._claimed(odometry_pose)
+        claimed = self._claimed(odometry_pose, needed=False)
         return claimed if len(claimed) else found
 
-    def _claimed(self, odometry_pose: Floats) -> Candidates:
+    def _claimed(self, odometry_pose: Floats, *, needed: bool) -> Candidates:
         """The place that the poles of the way claim, wherever it is; none in a small map."""
-        claim = None if self._claims is None else self._claims.claim(odometry_pose)
+        if self._claims is None:
+            return _NO_CANDIDATES
+        claim = self._claims.claim(odometry_pose, needed=needed)
         if claim is None:
             return _NO_CANDIDATES
         matched = np.array([claim.matched])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,15 +10,15 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame, transform_points
 from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.localize.place.along import SEARCH_EVERY_M
 from polemap.localize.place.finder import WRONG_MOST, PlaceFinder
 from polemap.localize.place.local_map import WINDOW_M, LocalMapBuilder
+from polemap.localize.place.patterns import MapPatterns
 from polemap.map.city.city_map import CityMap
-from polemap.map.pattern_index.build import build_index
-from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pole_map import PoleMap
-from polemap.vehicle.pose import compose, relative
+from polemap.vehicle.pose import compose, pose_rotation, relative, rotate, wrap_angle
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +28,9 @@ PATTERNS_FROM = 1500
 """Poles of a map in memory from which on its patterns are searched; of smaller ones all pairs."""
 # a car that was moved unknown to its odometry has poles of two places in the long window
 _SHORT_M = 50.0
+_AHEAD_M = 10.0  # two points tell the direction of north in another grid
+# before an index is built, the first fix is awaited for so long a way
+_AWAITED_M = 20.0
 # a claim is carried by the odometry for so far
 _HOLDS_M = 10.0
 
@@ -48,29 +50,31 @@ class Claim:
     matched: int
 
 
-def patterns_of(pole_map: PoleMap | CityMap) -> Callable[[], PatternIndex | None] | None:
+def patterns_of(pole_map: PoleMap | CityMap, *, background: bool) -> MapPatterns | None:
     """What gives the index of a map when it is first needed; None for a small map.
 
-    A map in memory is indexed then; a city's index stands beside its file, or there is none.
+    Args:
+        background: see `MapPatterns`.
     """
-    if isinstance(pole_map, CityMap):
-        return lambda: pole_map.patterns
-    if len(pole_map) < PATTERNS_FROM:
+    if isinstance(pole_map, PoleMap) and len(pole_map) < PATTERNS_FROM:
         return None
-    return lambda: build_index(pole_map)[0]
+    return MapPatterns(pole_map, background=background)
 
 
 class PlaceClaims:
     """Follows the poles of the way and claims a place when it is asked for.
 
     Args:
-        index: gives the map's index, or None where it has none.
+        patterns: give the map's index.
+        frame: of the claims; the index may be in another.
     """
 
-    def __init__(self, index: Callable[[], PatternIndex | None]) -> None:
-        self._index = index
+    def __init__(self, patterns: MapPatterns, frame: EarthFrame) -> None:
+        self._patterns, self._frame = patterns, frame
         self._builders = LocalMapBuilder(WINDOW_M), LocalMapBuilder(_SHORT_M)
         self._finders: tuple[PlaceFinder, ...] | None = None
+        self._index_frame = frame
+        self._begin_m: float | None = None
         self._way_m = 0.0
         self._searched_m = -np.inf
         self._searches = 0
@@ -78,9 +82,9 @@ class PlaceClaims:
         self._claimed_at = np.zeros(3)
         self._claimed_m = -np.inf
 
-    def use_index(self, index: Callable[[], PatternIndex | None]) -> None:
-        """Go on with the index of another map."""
-        self._index, self._finders, self._claim = index, None, None
+    def use_patterns(self, patterns: MapPatterns) -> None:
+        """Go on with another map of the same frame."""
+        self._patterns, self._finders, self._claim = patterns, None, None
 
     def forget(self) -> None:
         """The poles so far stand in no known relation to what comes."""
@@ -90,28 +94,34 @@ class PlaceClaims:
     def add_scan(self, scan: Detections, odometry_pose: Floats, travelled_m: float) -> None:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
         self._way_m = travelled_m
+        self._begin_m = travelled_m if self._begin_m is None else self._begin_m
         poles = scan.of_kinds(LandmarkKind.POLE)
         for builder in self._builders:
             builder.add_scan(poles, odometry_pose, travelled_m)
 
-    def claim(self, odometry_pose: Floats) -> Claim | None:
+    def claim(self, odometry_pose: Floats, *, needed: bool) -> Claim | None:
         """The car's place at a dead-reckoned pose `(3,)`; None while it may be elsewhere.
 
         A search is made every few metres, in the long and in the short window in turn.
+
+        Args:
+            needed: nothing else tells the place, see `MapPatterns.index`.
         """
         if self._way_m - self._searched_m >= SEARCH_EVERY_M:
-            self._search()
+            self._search(needed=needed)
         if self._claim is None or self._way_m - self._claimed_m > _HOLDS_M:
             return None
         moved = relative(self._claimed_at, odometry_pose)
         return Claim(compose(self._claim.pose, moved), self._claim.covariance, self._claim.matched)
 
-    def _search(self) -> None:
+    def _search(self, *, needed: bool) -> None:
         if self._finders is None:
-            index = self._index()
+            awaited = self._begin_m is None or self._way_m - self._begin_m < _AWAITED_M
+            index = self._patterns.index(needed=needed and not awaited)
             if index is None:
                 return
             self._finders = tuple(PlaceFinder(index, builder) for builder in self._builders)
+            self._index_frame = index.frame
         self._searched_m = self._way_m
         self._searches += 1
         finder = self._finders[self._searches % 2]
@@ -120,9 +130,24 @@ class PlaceClaims:
         except InputError as error:
             # the filter goes on without: what is damaged is no reason to stop a car
             _LOG.warning("%s", error)
-            self.use_index(lambda: None)
+            self._patterns.give_up()
+            self._finders = self._claim = None
             return
         if search is None or search.wrong > WRONG_MOST:
             return
-        self._claim = Claim(search.poses[0], search.covariance[0], int(search.matched[0]))
+        pose, covariance = search.poses[0], search.covariance[0]
+        if self._index_frame != self._frame:
+            pose, covariance = _in_frame(pose, covariance, self._index_frame, self._frame)
+        self._claim = Claim(pose, covariance, int(search.matched[0]))
         self._claimed_at, self._claimed_m = finder.odometry_pose, self._way_m
+
+
+def _in_frame(
+    pose: Floats, covariance: Floats, source: EarthFrame, target: EarthFrame
+) -> tuple[Floats, Floats]:
+    """A pose `(3,)` and its covariance `(3, 3)` of one grid in another."""
+    ahead = pose[:2] + rotate(np.array([_AHEAD_M, 0.0]), pose[2])
+    there, before = transform_points(np.stack([pose[:2], ahead]), source, target)
+    yaw = float(np.arctan2(*(before - there)[::-1]))
+    turn = pose_rotation(wrap_angle(yaw - pose[2]))
+    return np.array([*there, yaw]), turn @ covariance @ turn.T

@@ -5,106 +5,29 @@ from __future__ import annotations
 import logging
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polemap.drivelog.errors import FrameError, InputError
-from polemap.drivelog.frames import EarthFrame, transform_points
+from polemap.drivelog.frames import EarthFrame
 from polemap.map.city.statistics import MapStatistics
+from polemap.map.city.tiles import Area, Key, Tile, TileStore, box_around, box_in, inside
 from polemap.map.crowds import check_crowds
 from polemap.map.pattern_index.index import PatternIndex
-from polemap.map.pattern_index.io import read_index
+from polemap.map.pattern_index.io import open_index, read_index
 from polemap.map.pole_map import PoleMap, join_maps
 
 Floats = NDArray[np.float64]
-Key = tuple[int, ...]
 
 _LOG = logging.getLogger("polemap")
 
 # poles that are kept in memory, some 150 bytes each: a car's surroundings ten times over
 CACHED_POLES = 200_000
-# a box in another zone is bounded by points of its edges; between them the edge bends less
-_EDGE_POINTS, _BEND_M = 9, 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class Tile:
-    """Poles that are read at once.
-
-    Attributes:
-        poles: of the tile alone, in the map's order.
-        rows: `(n,)` which rows of the whole map they are.
-    """
-
-    poles: PoleMap
-    rows: NDArray[np.int64]
-
-
-class TileStore(Protocol):
-    """A map on the disk that can be read by tiles; every pole lies in exactly one of them."""
-
-    @property
-    def frame(self) -> EarthFrame:
-        """Of its coordinates."""
-
-    @property
-    def statistics(self) -> MapStatistics:
-        """Of all its poles."""
-
-    def overlapping(self, low_m: Floats, high_m: Floats) -> list[Key]:
-        """Tiles that may hold poles of a box, in a fixed order."""
-
-    def all_keys(self) -> Iterator[Key]:
-        """All tiles, in a fixed order."""
-
-    def box(self, key: Key) -> Floats:
-        """West, south, east, north `(4,)` within which a tile's poles lie."""
-
-    def read(self, key: Key, columns: Sequence[str] = ()) -> Tile:
-        """The poles of a tile, with further columns where the file has them.
-
-        Raises:
-            InputError: the tile is damaged.
-        """
-
-
-@dataclass(frozen=True, slots=True)
-class Area:
-    """What a map says of some boxes.
-
-    Attributes:
-        boxes: `(k, 4)` west, south, east, north.
-        poles: that stand in one of them, in the map's order.
-        unread: `(m, 4)` boxes of tiles that could not be read: of what stands there nothing is
-            known.
-    """
-
-    boxes: Floats
-    poles: PoleMap
-    unread: Floats
-
-    def known(self, points_m: Floats) -> NDArray[np.bool_]:
-        """Which of the points `(n, 2)` lie where the poles are known."""
-        return inside(self.boxes, points_m) & ~inside(self.unread, points_m)
-
-
-def inside(boxes: Floats, points_m: Floats) -> NDArray[np.bool_]:
-    """Which of the points `(n, 2)` lie in one of the boxes `(k, 4)`."""
-    east, north = points_m[:, :1], points_m[:, 1:2]
-    within = (east >= boxes[:, 0]) & (east <= boxes[:, 2])
-    within &= (north >= boxes[:, 1]) & (north <= boxes[:, 3])
-    return np.asarray(within.any(axis=1))
-
-
-def box_around(centre_m: ArrayLike, radius_m: float) -> Floats:
-    """The box `(4,)` of a circle."""
-    centre = np.asarray(centre_m, dtype=np.float64).reshape(2)
-    return np.concatenate([centre - radius_m, centre + radius_m])
 
 
 class CityMap:
@@ -167,7 +90,7 @@ class CityMap:
         stored = self._store.statistics
         if self.frame == self._store.frame or not stored.extent_m:
             return stored
-        turned = _box_in(np.array(stored.extent_m), self._store.frame, self.frame)
+        turned = box_in(np.array(stored.extent_m), self._store.frame, self.frame)
         return replace(stored, extent_m=tuple(turned.tolist()))
 
     @property
@@ -175,18 +98,35 @@ class CityMap:
         """Every `LandmarkKind` that stands in the map."""
         return self._store.statistics.kinds
 
+    def uncached(self) -> CityMap:
+        """The same map, of which no pole is kept in memory."""
+        return CityMap(self._store, self.frame, self.name, cached_poles=0)
+
     @property
     def patterns(self) -> PatternIndex | None:
-        """The index of its pole patterns, where one of this map and frame stands beside it."""
+        """The index of its pole patterns, in the map's own frame, where one stands beside it."""
         if not self._patterns_asked:
             self._patterns_asked = True
             try:
-                found = read_index(Path(self.name))
+                self._patterns = read_index(Path(self.name))
             except InputError as error:
                 _LOG.warning("%s", error)
-                found = None
-            if found is not None and found.frame == self.frame:
-                self._patterns = found
+        return self._patterns
+
+    def built_patterns(self) -> PatternIndex:
+        """The index of its pole patterns, built where there is none, which is told of.
+
+        It is kept beside the map where that can be written.
+
+        Raises:
+            InputError: the map cannot be read.
+        """
+        if self.patterns is None:
+            own = CityMap(self._store, name=self.name)
+            self._patterns = open_index(
+                Path(self.name), own.uncached, say=lambda text: _LOG.warning("%s", text)
+            )
+        assert self._patterns is not None
         return self._patterns
 
     def area(self, boxes: ArrayLike) -> Area:
@@ -272,12 +212,12 @@ class CityMap:
     def _keys(self, boxes: Floats) -> list[Key]:
         keys: dict[Key, None] = {}
         for box in boxes:
-            own = _box_in(box, self.frame, self._store.frame)
+            own = box_in(box, self.frame, self._store.frame)
             keys |= dict.fromkeys(self._store.overlapping(own[:2], own[2:]))
         return list(keys)
 
     def _box(self, key: Key) -> Floats:
-        return _box_in(self._store.box(key), self._store.frame, self.frame)
+        return box_in(self._store.box(key), self._store.frame, self.frame)
 
     def _tile(self, key: Key) -> Tile:
         """A tile of the cache, or of the file; what was not used for longest makes way."""
@@ -332,18 +272,3 @@ def along(
     if isinstance(pole_map, CityMap):
         return pole_map.poles_along(path_m, radius_m, columns)
     return pole_map
-
-
-def _box_in(box: Floats, frame: EarthFrame, other: EarthFrame) -> Floats:
-    """The box `(4,)` in another frame that holds a box of `frame`."""
-    if frame == other:
-        return box
-    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
-    east = box[0] + along * (box[2] - box[0])
-    north = box[1] + along * (box[3] - box[1])
-    edge = np.concatenate(
-        [np.stack(np.broadcast_arrays(x, y), axis=1)
-         for x, y in ((east, box[1]), (east, box[3]), (box[0], north), (box[2], north))]
-    )  # fmt: skip
-    moved = transform_points(edge, frame, other)
-    return np.concatenate([moved.min(axis=0) - _BEND_M, moved.max(axis=0) + _BEND_M])

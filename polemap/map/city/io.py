@@ -8,9 +8,10 @@ from pathlib import Path
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.city.city_map import CityMap, TileStore
+from polemap.map.city.city_map import CityMap
 from polemap.map.city.folder.io import STORES, FolderTiles
 from polemap.map.city.stored import CITY_POLES
+from polemap.map.city.tiles import TileStore
 from polemap.map.pole_map import PoleMap
 
 

@@ -8,14 +8,15 @@ number of workers, and a tile whose poles and margin are as before keeps its tri
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.map.pattern_index.cells import (
     MOST_M,
@@ -27,6 +28,7 @@ from polemap.map.pattern_index.cells import (
 )
 from polemap.map.pattern_index.index import DIRECTIONS, PatternIndex
 from polemap.map.pattern_index.triples import (
+    BITS,
     REACH_M,
     keys,
     neighbour_triples,
@@ -42,8 +44,29 @@ Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 NEIGHBOURS = 5
 """Nearest neighbours of a pole, of which pairs are taken."""
 _EXISTENCE_LEAST = 0.3  # what hardly stands there any more is no pattern
+# triangles are put in order so many shapes at a time, so that little is held twice
+_SHAPES_AT_ONCE = 2**15
 # triangles of a tile's poles have bases up to REACH_M away, and these neighbours as far again
 _MARGIN_M = 2.0 * REACH_M + 1.0
+
+
+class MapTile(Protocol):
+    """Some poles of a map."""
+
+    @property
+    def poles(self) -> PoleMap:
+        """Of this tile alone."""
+
+
+class TiledMap(Protocol):
+    """A map that is read tile by tile; `polemap.map.city.city_map.CityMap` is one."""
+
+    @property
+    def frame(self) -> EarthFrame:
+        """Of the coordinates."""
+
+    def tiles(self) -> Iterator[MapTile]:
+        """All poles, each in one tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +119,10 @@ def find_triangles(task: TileTask) -> TileTriangles:
 
 
 def build_index(
-    pole_map: PoleMap, *, run: Run = here, old: Mapping[str, TileTriangles] | None = None
+    pole_map: PoleMap | TiledMap,
+    *,
+    run: Run = here,
+    old: Mapping[str, TileTriangles] | None = None,
 ) -> tuple[PatternIndex, dict[int, str]]:
     """The index of a map, and the digest of every tile.
 
@@ -106,30 +132,44 @@ def build_index(
         old: what an older index has, by the digest of its tiles.
 
     Raises:
-        InputError: a pole that stands nowhere on the earth.
+        InputError: a pole that stands nowhere on the earth, or a tile that cannot be read.
     """
-    kept = (pole_map.kind == LandmarkKind.POLE) & (pole_map.existence >= _EXISTENCE_LEAST)
-    points = np.asarray(pole_map.points_m, dtype=np.float64)[kept]
-    if len(points) and np.abs(points).max() > MOST_M:
-        row = int(np.abs(points).max(axis=1).argmax())
-        far_m = np.abs(points[row]).max()
-        raise InputError(
-            f"index of patterns: pole {pole_map.ids[kept][row]} lies {far_m:.0f} m from the origin "
-            f"of {pole_map.frame}, {MOST_M:.0f} at most; correct it or remove it from the map"
-        )
+    parts = [pole_map] if isinstance(pole_map, PoleMap) else (t.poles for t in pole_map.tiles())
+    points, sd, width = _gathered(pole_map.frame, parts)
     number = cell_numbers(cell_places(points))
     order = np.lexsort((points[:, 0], points[:, 1], number))
     points, number = points[order], number[order]
-    variance = np.asarray(pole_map.covariance_m2, dtype=np.float64)[kept][order]
-    sd = np.sqrt(0.5 * np.trace(variance, axis1=1, axis2=2)).astype(np.float32)
-    width = np.asarray(pole_map.width_m)[kept][order].astype(np.float32)
     cells, cell_first = _starts(number)
-    digests, parts = _tiles(points, number, run, old or {})
-    shapes, shape_first, pole, direction = _joined(parts)
+    digests, found = _tiles(points, number, run, old or {})
+    del number
+    shapes, shape_first, pole, direction = _joined(found)
     index = PatternIndex(
-        pole_map.frame, points, sd, width, cells, cell_first, shapes, shape_first, pole, direction
-    )
+        pole_map.frame, points, sd[order], width[order],
+        cells, cell_first, shapes, shape_first, pole, direction,
+    )  # fmt: skip
     return index, digests
+
+
+def _gathered(
+    frame: EarthFrame, parts: Iterable[PoleMap]
+) -> tuple[Floats, NDArray[np.float32], NDArray[np.float32]]:
+    """Places, deviations of a coordinate and widths of the poles that make patterns."""
+    points, sds, widths = [np.empty((0, 2))], [np.empty(0, np.float32)], [np.empty(0, np.float32)]
+    for part in parts:
+        kept = (part.kind == LandmarkKind.POLE) & (part.existence >= _EXISTENCE_LEAST)
+        here_m = np.asarray(part.points_m, dtype=np.float64)[kept]
+        if len(here_m) and np.abs(here_m).max() > MOST_M:
+            row = int(np.abs(here_m).max(axis=1).argmax())
+            raise InputError(
+                f"index of patterns: pole {part.ids[kept][row]} lies "
+                f"{np.abs(here_m[row]).max():.0f} m from the origin of {frame}, {MOST_M:.0f} at "
+                "most; correct it or remove it from the map"
+            )
+        variance = np.asarray(part.covariance_m2, dtype=np.float64)[kept]
+        points.append(here_m)
+        sds.append(np.sqrt(0.5 * np.trace(variance, axis1=1, axis2=2)).astype(np.float32))
+        widths.append(np.asarray(part.width_m)[kept].astype(np.float32))
+    return np.concatenate(points), np.concatenate(sds), np.concatenate(widths)
 
 
 def _starts(ordered: NDArray[Any]) -> tuple[NDArray[Any], Whole]:
@@ -183,15 +223,34 @@ def _joined(
     parts: list[tuple[int, TileTriangles]],
 ) -> tuple[NDArray[np.uint32], Whole, NDArray[np.uint32], NDArray[np.uint16]]:
     """All triangles ordered by shape: shapes, their first triangles, corners, directions."""
-    shape = np.concatenate([np.empty(0, np.uint32), *(part.shape for _, part in parts)])
-    pole = np.concatenate(
-        [np.empty(0, np.uint32), *(part.corner + np.uint32(first) for first, part in parts)]
-    )
-    direction = np.concatenate([np.empty(0, np.uint16), *(part.direction for _, part in parts)])
-    # the parts are in order already: a stable sort merges them
-    order = np.argsort(shape, kind="stable")
-    shapes, shape_first = _starts(shape[order])
-    return shapes, shape_first, pole[order], direction[order]
+    total = sum(len(part.shape) for _, part in parts)
+    pole, direction = np.empty(total, np.uint32), np.empty(total, np.uint16)
+    shapes, counts = [np.empty(0, np.uint32)], [np.empty(0, np.int64)]
+    at = 0
+    for low in range(0, 2 ** (3 * BITS), _SHAPES_AT_ONCE):
+        bounds = np.array([low, low + _SHAPES_AT_ONCE], np.uint32)
+        rows = [slice(*np.searchsorted(part.shape, bounds)) for _, part in parts]
+        shape = _chained((part.shape[r] for (_, part), r in zip(parts, rows, strict=True)), pole)
+        if not len(shape):
+            continue
+        # the parts are in order already: a stable sort merges them
+        order = np.argsort(shape, kind="stable")
+        there = slice(at, at + len(order))
+        corners = (p.corner[r] + np.uint32(f) for (f, p), r in zip(parts, rows, strict=True))
+        turns = (p.direction[r] for (_, p), r in zip(parts, rows, strict=True))
+        pole[there] = _chained(corners, pole)[order]
+        direction[there] = _chained(turns, direction)[order]
+        found, first = _starts(shape[order])
+        shapes.append(found)
+        counts.append(np.diff(first))
+        at += len(order)
+    starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)
+    return np.concatenate(shapes), starts, pole, direction
+
+
+def _chained(parts: Iterable[NDArray[Any]], like: NDArray[Any]) -> NDArray[Any]:
+    """Arrays one behind the other, of the type of `like` even where there are none."""
+    return np.concatenate([like[:0], *parts])
 
 
 def kept_tiles(index: PatternIndex, digests: Mapping[str, str]) -> dict[str, TileTriangles]:

@@ -1,14 +1,13 @@
 """The index of patterns on the disk, beside its map: arrays that are mapped, not read.
 
 `MAP.patterns` begins with a mark and the length of its head. The head is a JSON object: version,
-frame, the digest of every tile, what the map file was like (size, time of change, SHA-256 of its
-bytes), and type, shape and place of every array, which follow as plain numbers. An index whose map
-has changed since, or of another version, is not used.
+frame, the digest of every tile, what the map's files were like (size, time of change, SHA-256 of
+their bytes), and type, shape and place of every array, which follow as plain numbers. An index
+whose map has changed since, or of another version, is not used.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import struct
@@ -22,13 +21,14 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.pattern_index.build import Run, build_index, here, kept_tiles
+from polemap.map.map_files import State, is_of, map_digests, map_state
+from polemap.map.pattern_index.build import Run, TiledMap, build_index, here, kept_tiles
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import named
 from polemap.parsing.json_text import parse_json
 
-VERSION = 1
+VERSION = 2
 _MARK = b"polemap patterns\n"
 _LENGTH = struct.Struct("<Q")
 _ALIGNED = 64
@@ -38,30 +38,40 @@ _ARRAYS = {
     "points_m": "<f8", "sd_m": "<f4", "width_m": "<f4", "cells": "<i8", "cell_first": "<i8",
     "shapes": "<u4", "shape_first": "<i8", "pole": "<u4", "direction": "<u2",
 }  # fmt: skip
-_HASHED_AT_ONCE = 2**22
 
 
 def index_file(map_file: Path) -> Path:
-    """Where the index of a map stands."""
+    """Where the index of a map stands: beside its file, or beside its folder."""
     return map_file.with_name(map_file.name + ".patterns")
 
 
-def write_index(pole_map: PoleMap, map_file: Path, *, run: Run = here) -> PatternIndex:
-    """Build the index of a map that stands in a file, and write it beside it.
+def write_index(
+    pole_map: PoleMap | TiledMap,
+    map_file: Path,
+    *,
+    run: Run = here,
+    state: State | None = None,
+) -> PatternIndex:
+    """Build the index of a map that stands in a file or folder, and write it beside it.
 
     Of an index that is there already, tiles whose poles are the same are taken over.
 
     Args:
         pole_map: what the file holds.
         run: see `build_index`.
+        state: of the map before it was read, where that was not just now.
 
     Raises:
-        InputError: a pole that stands nowhere on the earth.
+        InputError: a pole that stands nowhere on the earth, or a map that changes meanwhile.
         OutputError: the place cannot be written to.
     """
     path = index_file(map_file)
     check_replaceable(path)
+    state = state or map_state(map_file)
     index, digests = build_index(pole_map, run=run, old=_old_tiles(path))
+    hashed = map_digests(map_file)
+    if map_state(map_file) != state:
+        raise InputError(f"{map_file}: it has changed while its index was built; build it again")
     arrays = {
         name: np.ascontiguousarray(getattr(index, name), dtype) for name, dtype in _ARRAYS.items()
     }
@@ -71,7 +81,7 @@ def write_index(pole_map: PoleMap, map_file: Path, *, run: Run = here) -> Patter
         offset += -(-array.nbytes // _ALIGNED) * _ALIGNED
     head = {
         "version": VERSION,
-        "map": _stamp(map_file) | {"sha256": _digest(map_file)},
+        "map": {name: known | {"sha256": hashed[name]} for name, known in state.items()},
         "frame": index.frame.to_dict(),
         "arrays": places,
         "bytes": offset,
@@ -117,24 +127,36 @@ def read_index(map_file: Path) -> PatternIndex | None:
     with named(path, InputError, "index of patterns"):
         if head["version"] != VERSION:
             return None
-        kept = {key: head["map"][key] for key in ("size", "modified_ns", "sha256")}
-    if not _is_of(kept, map_file):
-        return None
+        kept = {
+            str(name): {key: one[key] for key in ("size", "modified_ns", "sha256")}
+            for name, one in head["map"].items()
+        }
+    with named(map_file, InputError, "map"):
+        if not is_of(kept, map_file):
+            return None
     return _arrays(path, head, begin)
 
 
 def open_index(
-    map_file: Path, load: Callable[[], PoleMap], *, say: Callable[[str], None], run: Run = here
+    map_file: Path,
+    load: Callable[[], PoleMap | TiledMap],
+    *,
+    say: Callable[[str], None],
+    run: Run = here,
 ) -> PatternIndex:
     """The index of a map; built and kept beside it where it is missing, outdated or damaged.
 
+    Where it cannot be kept it is built in memory.
+
     Args:
-        load: reads the map's poles.
-        say: is told why it must be built.
+        load: opens the map's poles.
+        say: is told why it must be built, and where it cannot be kept.
 
     Raises:
-        OutputError: it cannot be written beside the map.
+        InputError: the map cannot be read.
     """
+    if not map_file.exists():
+        raise InputError(f"{map_file}: no such map")
     why = f"{map_file}: it has no index of patterns"
     try:
         index = read_index(map_file)
@@ -145,7 +167,15 @@ def open_index(
     except InputError as error:
         why = str(error)
     say(f"{why}; it is built now")
-    return write_index(load(), map_file, run=run)
+    try:
+        with named(map_file, InputError, "map"):
+            state = map_state(map_file)
+        built = write_index(load(), map_file, run=run, state=state)
+    except (OutputError, PermissionError) as error:
+        say(f"{index_file(map_file)}: cannot be kept ({error}); built for this call only")
+        return build_index(load(), run=run)[0]
+    # mapped from the disk it takes no memory of its own
+    return read_index(map_file) or built
 
 
 def _head(path: Path) -> tuple[Any, int]:
@@ -221,26 +251,3 @@ def _old_tiles(path: Path) -> Any:
             return kept_tiles(_arrays(path, head, begin), head["tiles"])
     except InputError:
         return None  # what cannot be read costs no more than finding it again
-
-
-def _stamp(map_file: Path) -> dict[str, int]:
-    state = map_file.stat()
-    return {"size": state.st_size, "modified_ns": state.st_mtime_ns}
-
-
-def _digest(map_file: Path) -> str:
-    digest = hashlib.sha256()
-    with map_file.open("rb") as stream:
-        while block := stream.read(_HASHED_AT_ONCE):
-            digest.update(block)
-    return digest.hexdigest()
-
-
-def _is_of(kept: dict[str, Any], map_file: Path) -> bool:
-    """Whether an index was made of the map as it is; a map that was copied is read for it."""
-    with named(map_file, InputError, "map"):
-        stamp = _stamp(map_file)
-        if stamp["size"] != kept["size"]:
-            return False
-        same_time = bool(stamp["modified_ns"] == kept["modified_ns"])
-        return same_time or bool(_digest(map_file) == kept["sha256"])

@@ -17,10 +17,11 @@ from polemap.localize.place.claims import PATTERNS_FROM, PlaceClaims, patterns_o
 from polemap.map.city.city_map import CityMap
 from polemap.map.city.io import open_city
 from polemap.map.io import write_map
+from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pattern_index.io import index_file, write_index
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import compose, relative
-from tests.localize.place.town import drive_in, index_of, town
+from tests.localize.place.town import Patterns, drive_in, index_of, town
 from tests.localize.point_drives import play
 from tests.pole_maps import plain_map
 
@@ -97,6 +98,10 @@ def test_a_damaged_index_is_told_of_and_not_used(
     assert "its head tells of" in caplog.text
 
 
+def claims_of(index: PatternIndex | None) -> PlaceClaims:
+    return PlaceClaims(Patterns(index), index_of().frame)
+
+
 def claims_along(claims: PlaceClaims, seed: int, jump_s: float = np.inf) -> list[float]:
     """How far claims are off along a drive; at a moment the car is put elsewhere, unseen."""
     drive, motion = drive_in(0, seed)
@@ -113,39 +118,39 @@ def claims_along(claims: PlaceClaims, seed: int, jump_s: float = np.inf) -> list
             step = relative(elsewhere.at(jump_s)[0], truth)
             told = compose(before, step)
         claims.add_scan(shown, told, 8.0 * scan.stamp_s)
-        claim = claims.claim(told)
+        claim = claims.claim(told, needed=True)
         if claim is not None:
             errors.append(float(np.hypot(*(claim.pose[:2] - truth[:2]))))
     return errors
 
 
 def test_claims_are_right_and_carried_by_the_odometry() -> None:
-    errors = claims_along(PlaceClaims(index_of), 1)
+    errors = claims_along(claims_of(index_of()), 1)
     assert len(errors) > 10
     assert max(errors) < 0.7
 
 
 def test_a_car_that_was_moved_is_found_again() -> None:
-    errors = claims_along(PlaceClaims(index_of), 1, jump_s=6.0)
+    errors = claims_along(claims_of(index_of()), 1, jump_s=6.0)
     assert errors[-1] < 0.7
 
 
 def test_no_claim_without_an_index_and_after_forgetting() -> None:
-    assert claims_along(PlaceClaims(lambda: None), 1) == []
-    claims = PlaceClaims(index_of)
+    assert claims_along(claims_of(None), 1) == []
+    claims = claims_of(index_of())
     assert claims_along(claims, 1)
     claims.forget()
-    assert claims.claim(np.zeros(3)) is None
-    claims.use_index(lambda: None)
-    assert claims.claim(np.zeros(3)) is None
+    assert claims.claim(np.zeros(3), needed=True) is None
+    claims.use_patterns(Patterns(None))
+    assert claims.claim(np.zeros(3), needed=True) is None
 
 
 def test_small_maps_keep_their_own_search() -> None:
     points = np.random.default_rng(0).uniform(0.0, 500.0, (PATTERNS_FROM, 2))
-    assert patterns_of(plain_map(points[:-1])) is None
-    index = patterns_of(plain_map(points))
-    assert index is not None
-    made = index()
+    assert patterns_of(plain_map(points[:-1]), background=False) is None
+    patterns = patterns_of(plain_map(points), background=False)
+    assert patterns is not None
+    made = patterns.index(needed=False)
     assert made is not None
     assert len(made) == PATTERNS_FROM
 
@@ -153,5 +158,5 @@ def test_small_maps_keep_their_own_search() -> None:
 def test_an_index_with_wrong_numbers_is_given_up(caplog: pytest.LogCaptureFixture) -> None:
     index = index_of()
     broken = replace(index, pole=np.full(index.triangles, len(index), dtype=np.uint32))
-    assert claims_along(PlaceClaims(lambda: broken), 1) == []
+    assert claims_along(claims_of(broken), 1) == []
     assert caplog.text.count("names poles that are not there") == 1

@@ -9,11 +9,13 @@ import numpy as np
 
 from benchmarks.localize.cities import City, changed, make_city, motion_along, route
 from polemap.drivelog.drive import Drive
+from polemap.localize.place.patterns import MapPatterns
 from polemap.map.pattern_index.build import build_index
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.simulate.config import DetectorConfig
 from polemap.simulate.points.drive import PointScenario, sensed
 from polemap.simulate.points.motion import PointMotion
+from tests.pole_maps import plain_map
 
 SCENARIO = PointScenario(gnss=None, detector=DetectorConfig(rate_hz=8.0, detected_share=0.85))
 
@@ -26,6 +28,14 @@ def town(seed: int = 0) -> City:
 @cache
 def index_of(seed: int = 0) -> PatternIndex:
     return build_index(town(seed).surveyed(0.05, seed))[0]
+
+
+class Patterns(MapPatterns):
+    """An index that is there, or none."""
+
+    def __init__(self, index: PatternIndex | None) -> None:
+        super().__init__(plain_map(np.empty((0, 2))), background=False)
+        self._index, self._given_up = index, index is None
 
 
 @cache

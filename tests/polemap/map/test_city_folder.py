@@ -10,10 +10,10 @@ import pytest
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.city.folder import io as folders
-from polemap.map.city.folder.io import map_files
 from polemap.map.city.io import open_city, open_map
 from polemap.map.city.statistics import MapStatistics, together
 from polemap.map.io import write_map
+from polemap.map.map_files import map_files
 from polemap.map.pole_map import PoleMap
 from tests.city_maps import opened, write_city
 from tests.polemap.map.test_city_map import ORIGIN, SIDE_M, assert_same, by_id, make_city

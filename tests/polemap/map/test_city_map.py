@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.city.city_map import CityMap, box_around
+from polemap.map.city.city_map import CityMap
 from polemap.map.city.geopackage.io import TILE_M, GeoPackageTiles
 from polemap.map.city.io import open_city, open_map
 from polemap.map.city.packing import boxes_of, packed_order
 from polemap.map.city.parquet.io import ParquetTiles
 from polemap.map.city.statistics import MapStatistics
+from polemap.map.city.tiles import box_around
 from polemap.map.io import read_map, write_map
 from polemap.map.pole_map import PoleMap
 from tests.city_maps import write_city

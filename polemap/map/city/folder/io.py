@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.city.city_map import Key, Tile, TileStore
 from polemap.map.city.geopackage.io import GeoPackageTiles
 from polemap.map.city.parquet.io import ParquetTiles
 from polemap.map.city.statistics import MapStatistics, together
+from polemap.map.city.tiles import Key, Tile, TileStore
+from polemap.map.map_files import map_files
 
 Floats = NDArray[np.float64]
 
@@ -29,16 +30,6 @@ _OPEN = 32
 # more rows than a file has: the rows of the next file come after them
 _ROWS = 1 << 40
 _WHOLE_FILE = -1
-
-
-def map_files(path: Path) -> list[Path]:
-    """The map files of a folder, by name; none of one that holds a drive or other folders."""
-    if not path.is_dir() or (path / "drive.yaml").exists():
-        return []
-    inside = [one for one in path.iterdir() if not one.name.startswith(".")]
-    if any(one.is_dir() for one in inside):
-        return []
-    return sorted(one for one in inside if one.suffix.lower() in STORES)
 
 
 class FolderTiles:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.city.city_map import Key, Tile
 from polemap.map.city.statistics import MapStatistics
 from polemap.map.city.stored import METADATA_KEY, StoredCity
+from polemap.map.city.tiles import Key, Tile
 from polemap.map.formats.columns import KNOWN, from_columns
 from polemap.map.pole_map import KIND_COLUMN
 from polemap.parsing.errors import ParsingError, short

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.extras import need
-from polemap.map.city.city_map import Key, Tile
 from polemap.map.city.packing import TILE_POLES, boxes_of, packed_order
 from polemap.map.city.statistics import MapStatistics
 from polemap.map.city.stored import METADATA_KEY, StoredCity
+from polemap.map.city.tiles import Key, Tile
 from polemap.map.formats.columns import KNOWN
 from polemap.map.pole_map import KIND_COLUMN, PoleMap
 from polemap.parsing.errors import short
