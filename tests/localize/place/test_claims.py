@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +14,7 @@ from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.localize.place.claims import PATTERNS_FROM, PlaceClaims, patterns_of
 from polemap.map.city.city_map import CityMap
-from polemap.map.city.io import open_city
-from polemap.map.io import write_map
 from polemap.map.pattern_index.index import PatternIndex
-from polemap.map.pattern_index.io import index_file, write_index
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import compose, relative
 from tests.localize.place.town import Patterns, drive_in, index_of, town
@@ -62,40 +58,6 @@ def test_a_fix_far_away_is_overruled_by_a_claim() -> None:
     ]
     estimates, _ = driven(town_map(), 1, wrong)
     assert off_m(estimates[-1], 1) < 1.0
-
-
-def stored_city(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("polemap.map.city.stored.CITY_POLES", 1000)
-    monkeypatch.setattr("polemap.map.formats.geopackage.io.CITY_POLES", 1000, raising=False)
-    write_map(town_map(), folder / "town.gpkg")
-    return folder / "town.gpkg"
-
-
-def test_a_city_on_the_disk_is_searched_by_the_index_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = stored_city(tmp_path, monkeypatch)
-    city = open_city(file)
-    assert city is not None
-    assert city.patterns is None
-    write_index(town_map(), file)
-    city = open_city(file)
-    assert city is not None
-    estimates, _ = driven(city, 1)
-    assert off_m(estimates[-1], 1) < 1.0
-    assert city.patterns is not None
-
-
-def test_a_damaged_index_is_told_of_and_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    file = stored_city(tmp_path, monkeypatch)
-    write_index(town_map(), file)
-    index_file(file).write_bytes(index_file(file).read_bytes()[:-9])
-    city = open_city(file)
-    assert city is not None
-    assert city.patterns is None
-    assert "its head tells of" in caplog.text
 
 
 def claims_of(index: PatternIndex | None) -> PlaceClaims:
