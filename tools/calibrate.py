@@ -13,7 +13,7 @@ import typer
 from polemap.calibration.check import calibrate
 from polemap.calibration.result import Calibration
 from polemap.calibration.rows import RowAgreement
-from polemap.drivelog.atomic import atomic_file, atomic_folder, check_folder
+from polemap.drivelog.atomic import atomic_file, atomic_folder, check_files, check_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import OutputError
 from polemap.drivelog.readers.registry import open_drive
@@ -23,6 +23,7 @@ from polemap.tools.option_types import ConfigOption, SeedOption, SetOption, Topi
 from polemap.tools.progress import progress
 
 PICTURES = "calibration pictures"
+_MADE_BY = "# found by polemap calibrate"
 
 
 def command(
@@ -58,6 +59,8 @@ def command(
     """
     if out is not None and out.suffix.lower() not in (".yaml", ".yml"):
         raise OutputError(f"{out}: what was found is written as .yaml")
+    check_files([out], (drive, config, topics))
+    _check_own(out)
     if pictures is not None:
         check_folder(pictures, PICTURES, (drive, config, topics))
     settings = load_settings(config, set_values)
@@ -79,6 +82,16 @@ def command(
         typer.echo(json.dumps(as_dict(opened, found), indent=2))
         return
     typer.echo("\n".join(describe(opened, found, out)))
+
+
+def _check_own(out: Path | None) -> None:
+    """A settings or drive file of the user's is not replaced by what was found."""
+    if out is None or not out.is_file():
+        return
+    with out.open("rb") as stream:
+        start = stream.read(len(_MADE_BY))
+    if start and start != _MADE_BY.encode():
+        raise OutputError(f"{out}: is no file of polemap calibrate's; choose another name")
 
 
 def describe(drive: Drive, found: Calibration, out: Path | None = None) -> list[str]:
@@ -137,7 +150,7 @@ def _describe_rows(rows: RowAgreement) -> list[str]:
 def as_yaml(drive: Drive, found: Calibration) -> str:
     """What was found in the keys of drive.yaml, standard deviations as comments."""
     lines = [
-        f"# found by polemap calibrate in drive {drive.name}; behind # the standard deviation",
+        f"{_MADE_BY} in drive {drive.name}; behind # the standard deviation",
     ]
     mount = [q for q in found.quantities if q.name.startswith("camera.")]
     if mount and drive.rig is not None:

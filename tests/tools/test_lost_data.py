@@ -81,6 +81,17 @@ LOCALIZE = ["localize", "in/drive", "--map", "in/map.gpkg", *FEW]
         ["simulate", "park_loop", "--out", "in"],
         ["study", "W14", "--out", "in/run"],
         ["demo", "--out", "in"],
+        ["calibrate", "in/drive", "--out", "in/drive/drive.yaml"],
+        ["calibrate", "in/drive", "--out", "in/settings.yaml"],
+        ["calibrate", "in/drive", "--pictures", "in"],
+        ["odometry", "in/drive", "--out", "in/drive/a.tum"],
+        ["odometry", "in/drive", "--out", "a.tum", "--csv", "in/drive/odometry.csv"],
+        ["where", "in/drive", "--map", "in/map.gpkg", "--picture", "in/drive/where.png"],
+        ["convert", "in/drive", "--to", "kitti", "--out", "in/drive"],
+        ["convert", "in/drive", "--to", "mcap", "--out", "in/drive/a.mcap"],
+        ["convert", "in/run", "--out", "in/run/a.tum"],
+        ["view", "in/run", "--out", "in/run/a.mcap"],
+        ["new", "in/drive"],
         ["disparity", "a.png", "b.png", "--out", "a.png"],
         ["disparity", "a.png", "b.png", "--out", "d.png", "--right-out", "d.png"],
         ["disparity", "a.png", "b.png", "--out", "pipe.png"],
@@ -100,7 +111,14 @@ def test_a_result_never_replaces_an_input_or_the_users_own(
     assert cli.run(words) == cli.USER_ERROR
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    remedies = ("choose", "give each its own", "name a file or folder", "is a file, a folder is")
+    remedies = (
+        "choose",
+        "give each its own",
+        "name a file or folder",
+        "is a file, a folder is",
+        "give another name",
+        "choose another name",
+    )
     assert any(remedy in error for remedy in remedies)
     assert contents(place) == before
 
