@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from polemap.build.build_map import BuiltMap, assemble_map, build_map, unique_names
-from polemap.build.city.cluster import open_cluster
+from polemap.build.build_map import BuiltMap, unique_names
 from polemap.build.city.io import clear
-from polemap.build.city.tiles import TILE_M
-from polemap.build.city.work import DriveTask, observe_all, on_workers
 from polemap.drivelog.atomic import check_files, check_folder, reserved
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.jobs import LocalWorkers, Workers
+from polemap.drivelog.jobs import LocalWorkers
 from polemap.map.io import check_writable, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
-from polemap.tools.drive_detection import Source
 from polemap.tools.findings import require_plausible
 from polemap.tools.map_files import compare, convert_map
+from polemap.tools.map_job import MapJob
 from polemap.tools.map_picture import (
     check_picture,
     draw_map,
@@ -40,7 +35,6 @@ from polemap.tools.map_slam import (
     update_without_reference,
     write_poses,
 )
-from polemap.tools.map_worker import observe_task, scan
 from polemap.tools.option_types import (
     ConfigOption,
     ForceOption,
@@ -52,57 +46,7 @@ from polemap.tools.option_types import (
 )
 from polemap.tools.pattern_index import make_index
 from polemap.tools.plausible import find
-from polemap.tools.progress import progress
-
-
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """What a map is built from, how, and where to."""
-
-    paths: list[Path]
-    out: Path
-    lap: str | None
-    old: PoleMap | None
-    topics: Path | None
-    odometry: str
-    seed: int
-    workers: int | None
-    scheduler: str | None
-    align: bool
-    index: bool
-    slam: bool
-    poses: Path | None
-    settings: Settings
-
-    @property
-    def mapping(self) -> str | None:
-        """The file that maps topics, found from every process."""
-        return None if self.topics is None else str(self.topics.resolve())
-
-    @property
-    def checkpoints(self) -> Path:
-        """Keeps the drives that are done, so that a killed build goes on."""
-        return self.out.parent / f".{self.out.name}.checkpoints"
-
-    @property
-    def is_serial(self) -> bool:
-        """Whether this process does it all."""
-        return self.workers is None and self.scheduler is None
-
-    def drives(self) -> list[Drive]:
-        """The drives, opened; with their motion where this process detects their poles."""
-        sources = [Source(str(p), self.lap, self.mapping, self.odometry) for p in self.paths]
-        return [s.open(self.seed) if self.is_serial else s.recorded(self.seed) for s in sources]
-
-    def build(self, drives: list[Drive]) -> BuiltMap:
-        """The map of the drives, in this process or by workers: the same either way."""
-        return _build(self, drives) if self.is_serial else _build_in_processes(self, drives)
-
-    def pool(self) -> AbstractContextManager[Workers]:
-        """The workers of the scheduler, or processes of this machine."""
-        if self.scheduler is not None:
-            return open_cluster(self.scheduler)
-        return nullcontext(LocalWorkers(min(self.workers or 1, max(len(self.paths), 1))))
+from polemap.tools.slam_file import remove_figures, write_figures
 
 
 def command(
@@ -197,8 +141,10 @@ def command(
         check_folder(poses, KIND, drives)
     with reserved(out):
         # the map keeps its own zone: drives come to it
-        job = _Job(drives, out, lap, _read_old(update), topics, odometry, seed, workers, scheduler,
-                   align, index, slam, poses, settings)  # fmt: skip
+        job = MapJob(
+            drives, out, lap, _read_old(update), topics, odometry, seed, workers, scheduler, align,
+            index, slam, poses, settings,
+        )  # fmt: skip
         _make(job, picture, layer, force=force)
 
 
@@ -211,7 +157,7 @@ def _read_old(update: Path | None) -> PoleMap | None:
     return old
 
 
-def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -> None:
+def _make(job: MapJob, picture: Path | None, layer: Path | None, *, force: bool) -> None:
     opened = job.drives()
     for drive in opened:
         require_plausible(drive.name, find(drive), force=force)
@@ -238,6 +184,10 @@ def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -
     if solved is not None and job.poses is not None:
         write_poses(job.poses, unique_names(opened), solved.result)
     write_map(built.pole_map, job.out)
+    if solved is not None:
+        write_figures(job.out, solved.result.summary)
+    elif job.old is None:
+        remove_figures(job.out)
     if job.checkpoints.is_dir():
         clear(job.checkpoints)
     _show(built.pole_map, opened, job.settings, picture, layer)
@@ -247,43 +197,6 @@ def _make(job: _Job, picture: Path | None, layer: Path | None, *, force: bool) -
     if job.index:
         with job.pool() as pool:
             make_index(job.out, pool)
-
-
-def _build(job: _Job, drives: list[Drive]) -> BuiltMap:
-    total = sum(len(d.frame_stamps_s) if d.has_frames else len(d.scans) for d in drives)
-    with progress(total, "detecting poles") as advance:
-        return build_map(
-            drives,
-            job.settings.polemap,
-            lambda drive: scan(drive, job.settings, advance),
-            update=job.old,
-            align=job.align,
-        )
-
-
-def _build_in_processes(job: _Job, drives: list[Drive]) -> BuiltMap:
-    """A drive a worker; what they finished survives a killed run."""
-    frame = job.old.frame if job.old is not None else drives[0].frame
-    text = job.settings.model_dump_json()
-    tasks = [
-        DriveTask(
-            str(path.resolve()), name, job.lap, job.seed, frame, text, job.mapping, job.odometry
-        )
-        for path, name in zip(job.paths, unique_names(drives), strict=True)
-    ]
-    with job.pool() as workers:
-        with progress(len(drives), "drives") as advance:
-            parts = observe_all(tasks, observe_task, job.checkpoints, workers, advance)
-        with progress(None, "merging tiles") as advance:
-            return assemble_map(
-                parts,
-                job.settings.polemap.mapping,
-                frame,
-                update=job.old,
-                align=job.align,
-                run=on_workers(workers, advance),
-                tile_m=TILE_M,
-            )
 
 
 def _show(

@@ -11,6 +11,7 @@ from jinja2 import Environment, StrictUndefined
 
 from polemap.tools.report.interactive_map import InteractiveMap
 from polemap.tools.report.photos import Photo
+from polemap.tools.report.slam_section import SlamSection
 from polemap.tools.report.style import Picture, theme_css
 from polemap.tools.report.summary import RouteSummary
 from polemap.tools.report.tables import Table, csv_text
@@ -50,6 +51,7 @@ class Page:
     sections: tuple[Section, ...]
     notes: tuple[str, ...]
     summaries: tuple[RouteSummary, ...] = ()
+    slam: tuple[SlamSection, ...] = ()
 
 
 def render_page(page: Page) -> str:

@@ -23,6 +23,7 @@ from polemap.tools.report.interactive_map import interactive_map
 from polemap.tools.report.page import Page, Section, SettingsText, render_page
 from polemap.tools.report.photos import route_photos
 from polemap.tools.report.route_tables import all_tables, repeatability_table
+from polemap.tools.report.slam_section import slam_sections
 from polemap.tools.report.style import Picture
 from polemap.tools.report.summary import summarise
 from polemap.tools.report.tables import Table, csv_text, latex_text
@@ -62,7 +63,9 @@ def write_report(
     photos = {slug: route_photos(result, slug) for slug, result in zip(slugs, results, strict=True)}
     head = {"polemap": __version__, "made": made, "machine": machine, "seed": seed}
     content = document(results, head, differences, sweeps.values, tables)
-    content["notes"] += list(sweeps.notes)
+    slam, unread = slam_sections(results)
+    content["notes"] += [*sweeps.notes, *unread]
+    content["built_without_reference"] = {one.map: one.summary.as_dict() for one in slam}
     summaries = summarise(results)
     content["verdicts"] = {
         one.name: {"trust": one.trust or None, "sentence": one.verdict} for one in summaries
@@ -90,9 +93,12 @@ def write_report(
         sections=tuple(sections),
         notes=tuple(content["notes"]),
         summaries=summaries,
+        slam=slam,
     )
+    tables += [table for one in slam for table in one.tables]
     _write_tables(out, tables, latex)
-    for picture in [p for group in pictures.values() for p in group] + list(sweeps.pictures):
+    drawn = [*pictures.values(), sweeps.pictures, *(one.pictures for one in slam)]
+    for picture in [one for group in drawn for one in group]:
         _write_text(out / "pictures" / f"{picture.key}.svg", picture.svg)
         _write_bytes(out / "pictures" / f"{picture.key}.png", picture.png)
     for photo in [one for group in photos.values() for one in group]:

@@ -14,6 +14,46 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
+class AlongRoute:
+    """What is expected along one drive, and how its fixes fit.
+
+    Attributes:
+        way_m, east_m, north_m, absolute_sd_m, relative_sd_m: `(n,)` at stations along the way, in
+            the map's frame; sd an axis.
+        fix_way_m, fix_residual_m, fix_weight: `(c,)` of the fixes that are used: distance from the
+            solved antenna, and what the robust kernel leaves of each, 0 to 1.
+    """
+
+    way_m: tuple[float, ...]
+    east_m: tuple[float, ...]
+    north_m: tuple[float, ...]
+    absolute_sd_m: tuple[float, ...]
+    relative_sd_m: tuple[float, ...]
+    fix_way_m: tuple[float, ...]
+    fix_residual_m: tuple[float, ...]
+    fix_weight: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopFigures:
+    """One place that was seen again, or was thought to be.
+
+    Attributes:
+        first_drive, second_drive, first_way_m, second_way_m: where it was seen.
+        poles: how many were matched; log_odds: against being elsewhere.
+        taken_back: whether the rest contradicted it.
+    """
+
+    first_drive: str
+    first_way_m: float
+    second_drive: str
+    second_way_m: float
+    poles: int
+    log_odds: float
+    taken_back: bool
+
+
+@dataclass(frozen=True, slots=True)
 class DriveSummary:
     """Figures of one drive.
 
@@ -22,6 +62,7 @@ class DriveSummary:
         fix_residual_m: median distance of a fix from the solved antenna, NaN without fixes.
         absolute_sd_m, relative_sd_m: expected, an axis: median and largest along the route.
         calibration: found for the odometry, mean over the drive, by name.
+        along: what is expected along the route.
     """
 
     drive: str
@@ -32,6 +73,7 @@ class DriveSummary:
     absolute_sd_m: tuple[float, float]
     relative_sd_m: tuple[float, float]
     calibration: dict[str, float]
+    along: AlongRoute
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +87,7 @@ class SlamSummary:
         links, links_given_up: passes that were joined to poles, and those that did not fit.
         gnss_sd_m, gnss_correlation_s: of the fixes at HDOP 1, as measured.
         absolute: whether fixes tie the map to the earth.
+        places: the loops, those taken back last.
     """
 
     drives: tuple[DriveSummary, ...]
@@ -57,6 +100,7 @@ class SlamSummary:
     gnss_sd_m: float
     gnss_correlation_s: float
     absolute: bool
+    places: tuple[LoopFigures, ...]
 
     def as_dict(self) -> dict[str, object]:
         """The figures for a JSON file; NaN is null."""

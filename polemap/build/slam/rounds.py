@@ -118,19 +118,29 @@ def _moved(routes: Sequence[Route], solution: Solution) -> list[Route]:
 
 @dataclass(frozen=True, slots=True)
 class Closed:
-    """What became of the loops: `(closed, taken back, ambiguous)` and the rounds that it took."""
+    """What became of the loops.
 
-    loops: int
-    taken_back: int
+    Attributes:
+        loops, taken_back: those that hold, and those that the rest contradicted, each time.
+        ambiguous: matches that were left as two places would have served.
+        rounds: that it took.
+        anchors: `(n,)` keyframe of every local map that the loops count by.
+    """
+
+    loops: tuple[Loop, ...]
+    taken_back: tuple[Loop, ...]
     ambiguous: int
     rounds: int
+    anchors: Whole
 
 
 def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[State, Closed]:
     """Find loops and solve, until no new one is found and none is given up."""
     loops: dict[tuple[int, int], Loop] = {}
     refused: dict[tuple[int, int], int] = {}
-    taken_back = ambiguous = rounds = 0
+    taken_back: list[Loop] = []
+    anchors: Whole = np.empty(0, dtype=np.int64)
+    ambiguous = rounds = 0
     seen = state.seen
     for rounds in range(1, ROUNDS_MOST + 1):  # noqa: B007
         submaps = submaps_of(state)
@@ -150,12 +160,12 @@ def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[Sta
         broken = _broken(loops, links, state.solution)
         for pair in broken:
             refused[pair] = refused.get(pair, 0) + 1
-            taken_back += 1
-            del loops[pair]
+            taken_back.append(loops.pop(pair))
         few = found.at_odds <= _FEW_AT_ODDS * len(loops)
         if not broken and few and not found.unreached:
             break
-    return state, Closed(len(loops), taken_back, ambiguous, rounds)
+    closed = Closed(tuple(loops.values()), tuple(taken_back), ambiguous, rounds, anchors)
+    return state, closed
 
 
 def _broken(

@@ -19,12 +19,13 @@ from polemap.build.config import MappingConfig
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import KEYFRAME_M, SUBMAP_M
 from polemap.build.slam.initial import FIXES_MIN, lay_on_fixes
-from polemap.build.slam.motion import CALIBRATION, MotionNoise
-from polemap.build.slam.noise import seen_residuals, stated_noise
-from polemap.build.slam.precision import Precision, anchor_keyframes, pose_precision
-from polemap.build.slam.report import DriveSummary, SlamSummary
+from polemap.build.slam.motion import MotionNoise
+from polemap.build.slam.noise import stated_noise
+from polemap.build.slam.precision import anchor_keyframes, pose_precision
+from polemap.build.slam.report import SlamSummary
 from polemap.build.slam.rounds import Builder, Closed, State, close_loops, settle, submaps_of
 from polemap.build.slam.route import Route, as_reference, open_route
+from polemap.build.slam.summary import summarise
 from polemap.build.slam.tables import pose_starts
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
@@ -40,7 +41,6 @@ Whole = NDArray[np.int64]
 _LOCAL_ROUNDS = 2
 _GRID_S = 0.1  # of the poses that are written, beside the scans
 _SHIFT_M = 1000.0  # coordinates of a grid are solved near the origin, where they keep their digits
-_OUTLIER_WEIGHT = 0.1
 _POLE_M = 1.0
 
 
@@ -198,7 +198,7 @@ def _result(
         references.append(reference)
         low = np.clip(np.searchsorted(route.stamp_s, stamps, side="right") - 1, 0, len(route) - 1)
         trajectories.append(Trajectory(stamps, reference.poses, precision.absolute[rows][low]))
-    summary = _summary(state, closed, precision, starts)
+    summary = summarise(state, closed, precision, starts, shift)
     return SlamResult(
         frame,
         tuple(references),
@@ -207,43 +207,4 @@ def _result(
         state,
         shift,
         precision.relative_sd_m,
-    )
-
-
-def _summary(state: State, closed: Closed, precision: Precision, starts: Whole) -> SlamSummary:
-    problem, solution = state.problem, state.solution
-    residual = np.hypot(*seen_residuals(problem, solution).T) if len(problem.seen) else np.empty(0)
-    place = np.sqrt(np.trace(precision.absolute[:, :2, :2], axis1=1, axis2=2) / 2.0)
-    parts, first = [], 0
-    off = solution.fix_residual_m
-    for number, route in enumerate(state.routes):
-        rows = slice(int(starts[number]), int(starts[number + 1]))
-        fixes = slice(first, first + len(route.fix_s))
-        first += len(route.fix_s)
-        relative = precision.relative_sd_m[rows]
-        way = float(np.sum(np.hypot(*np.diff(route.poses[:, :2], axis=0).T)))
-        parts.append(
-            DriveSummary(
-                drive=route.name,
-                way_m=way,
-                fixes=len(route.fix_s),
-                fixes_left_out=int(np.count_nonzero(solution.fix_weight[fixes] < _OUTLIER_WEIGHT)),
-                fix_residual_m=float(np.median(off[fixes])) if len(route.fix_s) else float("nan"),
-                absolute_sd_m=(float(np.median(place[rows])), float(place[rows].max())),
-                relative_sd_m=(float(np.median(relative)), float(relative.max())),
-                calibration=dict(zip(CALIBRATION, route.calibration.mean(axis=0), strict=True)),
-            )
-        )
-    given_up = int(np.count_nonzero(solution.link_weight < 0.25))
-    return SlamSummary(
-        drives=tuple(parts),
-        loops=closed.loops,
-        loops_taken_back=closed.taken_back,
-        loops_ambiguous=closed.ambiguous,
-        detection_residual_m=float(np.median(residual)) if len(residual) else float("nan"),
-        links=len(problem.link),
-        links_given_up=given_up,
-        gnss_sd_m=state.noise.fix_sd_m,
-        gnss_correlation_s=state.noise.fix_correlation_s,
-        absolute=any(len(route.fix_s) for route in state.routes),
     )
