@@ -16,6 +16,7 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.samples import Image, Sample, StereoFrame
+from polemap.drivelog.source_names import SourceNames
 from polemap.drivelog.streams import (
     GnssStream,
     OdometryCorrection,
@@ -77,6 +78,7 @@ class Drive:
         problems: counts of bad input that was left out, by kind.
         findings: what the reader itself saw in the input that cannot be right.
         odometry_is_derived: whether the odometry was made from the reference.
+        names: what the source calls its streams.
     """
 
     name: str
@@ -100,6 +102,7 @@ class Drive:
     car: Car | None = None
     findings: tuple[Finding, ...] = ()
     odometry_is_derived: bool = False
+    names: SourceNames = field(default_factory=SourceNames)
 
     @property
     def has_frames(self) -> bool:

@@ -70,7 +70,8 @@ def with_odometry(
         note = f"odometry is the stereo camera's ({steps}{unknown})"
         notes = (*(n for n in drive.notes if n != ODOMETRY_NOTE), note)
         stream = track.odometry()
-        return replace(drive, odometry=stream, odometry_is_derived=False, notes=notes)
+        names = replace(drive.names, odometry="the camera's odometry")
+        return replace(drive, odometry=stream, odometry_is_derived=False, notes=notes, names=names)
     assert drive.odometry is not None  # resolve has seen to it
     fused = fuse_odometry(drive.odometry, track)
     note = (

@@ -62,7 +62,7 @@ def check_inputs(drive: Drive, pole_map: PoleMap | CityMap | None, *, has_poles:
     """
     if drive.odometry is None or not len(drive.odometry):
         raise InputError(
-            f"drive {drive.name}: it has no odometry; localizing needs an odometry.csv"
+            f"drive {drive.name}: it has no odometry; localizing needs {drive.names.odometry}"
         )
     if pole_map is None:
         if drive.gnss is None or not len(drive.gnss):
@@ -77,8 +77,8 @@ def check_inputs(drive: Drive, pole_map: PoleMap | CityMap | None, *, has_poles:
         raise InputError("the map holds no poles; build it from a drive that saw some")
     if not has_poles:
         raise InputError(
-            f"drive {drive.name}: it has neither images nor poles.csv; --without-poles localizes "
-            "it by odometry and GNSS alone"
+            f"drive {drive.name}: it has neither images nor {drive.names.poles}; --without-poles "
+            "localizes it by odometry and GNSS alone"
         )
 
 

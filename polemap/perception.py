@@ -177,7 +177,7 @@ def scan_drive(
         InputError: the drive has neither images nor detected poles, or one cannot be read.
     """
     if not drive.has_frames and not drive.scans:
-        raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
+        raise InputError(f"drive {drive.name}: it has neither images nor {drive.names.poles}")
     perception = PolePerception(drive.rig, config, stereo=stereo)
     scans = []
     for sample in samples_in_order(drive):

@@ -78,7 +78,9 @@ def raw_scans(
         InputError: the drive has no camera, or the classifier cannot be read.
     """
     if drive.rig is None:
-        raise InputError(f"drive {drive.name}: it has images, but drive.yaml describes no camera")
+        raise InputError(
+            f"drive {drive.name}: it has images, but {drive.names.head} describes no camera"
+        )
     matcher = make_matcher(stereo, drive.rig)
     classifier = read_classifier(polemap.detection.model)
     scans: list[Detections] = []

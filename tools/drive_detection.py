@@ -142,7 +142,7 @@ def detect_drive(
     """
     if not drive.has_frames:
         if not drive.scans:
-            raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
+            raise InputError(f"drive {drive.name}: it has neither images nor {drive.names.poles}")
         advance(len(drive.scans))
         return tracked(drive, drive.scans, settings.polemap)
     with scratch_folder() as fallback:

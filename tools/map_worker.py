@@ -23,7 +23,7 @@ def scan(drive: Drive, settings: Settings, advance: Advance) -> list[Detections]
     if drive.has_frames:
         return scan_drive(drive, settings.polemap, advance, stereo=settings.stereo)
     if not drive.scans:
-        raise InputError(f"drive {drive.name}: it has neither images nor poles.csv")
+        raise InputError(f"drive {drive.name}: it has neither images nor {drive.names.poles}")
     advance(len(drive.scans))
     return list(drive.scans)
 

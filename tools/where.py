@@ -85,7 +85,9 @@ def command(
     if opened.odometry is None or not len(opened.odometry):
         raise InputError(f"drive {opened.name}: it has no odometry; --odometry camera follows it")
     if not opened.has_frames and not opened.scans:
-        raise InputError(f"drive {opened.name}: it has neither images nor poles.csv to be found by")
+        raise InputError(
+            f"drive {opened.name}: it has neither images nor {opened.names.poles} to be found by"
+        )
     processes = workers or cpu_count() or 1
     index = opened_index(map_file, opened.frame, processes)
     total = len(opened.frame_stamps_s) if opened.has_frames else len(opened.scans)

@@ -29,7 +29,7 @@ def vehicle_findings(drive: Drive) -> list[Finding]:
         unit = named_unit(drive.wheelbase_m / _WHEELBASE_TYPICAL_M, LENGTH_UNITS, 0.6)
         found.append(
             Finding(
-                "wheelbase", "error", "drive.yaml", f"wheelbase_m is {drive.wheelbase_m:g}",
+                "wheelbase", "error", drive.names.head, f"wheelbase_m is {drive.wheelbase_m:g}",
                 f"{low:g} to {high:g} m",
                 f"write it in metres{f' (it looks like {unit})' if unit else ''}",
             )
@@ -38,7 +38,7 @@ def vehicle_findings(drive: Drive) -> list[Finding]:
     if abs(x) > 15.0 or abs(y) > 3.0:
         found.append(
             Finding(
-                "gnss_antenna", "error", "drive.yaml", f"gnss_antenna at x {x:g}, y {y:g} m",
+                "gnss_antenna", "error", drive.names.head, f"gnss_antenna at x {x:g}, y {y:g} m",
                 "within 15 m along and 3 m across the car", "write it in metres, y to the left",
             )
         )  # fmt: skip
@@ -56,7 +56,7 @@ def odometry_findings(drive: Drive) -> list[Finding]:
     if fast > _SPEED_MPS:
         found.append(
             Finding(
-                "speed_range", "error", "odometry.csv", f"speeds to {fast:.0f} m/s",
+                "speed_range", "error", drive.names.odometry, f"speeds to {fast:.0f} m/s",
                 f"below {_SPEED_MPS:.0f} m/s", "write the speed in m/s",
             )
         )  # fmt: skip
@@ -64,7 +64,7 @@ def odometry_findings(drive: Drive) -> list[Finding]:
     if moving.sum() > 5 and np.mean(speed[moving] < 0.0) > 0.7:
         found.append(
             Finding(
-                "speed_sign", "warning", "odometry.csv",
+                "speed_sign", "warning", drive.names.odometry,
                 f"{100 * np.mean(speed[moving] < 0.0):.0f} % of the motion is backward",
                 "forward positive", "change the sign of the speed if the car drove forward",
             )
@@ -74,7 +74,7 @@ def odometry_findings(drive: Drive) -> list[Finding]:
     if turning > _YAW_RATE_RADPS or lateral > _LATERAL_MPS2:
         found.append(
             Finding(
-                "yaw_rate_range", "error", "odometry.csv",
+                "yaw_rate_range", "error", drive.names.odometry,
                 f"yaw rates to {turning:.2f} rad/s, lateral accelerations to {lateral:.0f} m/s2",
                 f"below {_YAW_RATE_RADPS:g} rad/s and {_LATERAL_MPS2:g} m/s2",
                 "write the yaw rate in rad/s and the speed in m/s",
@@ -88,7 +88,7 @@ def odometry_findings(drive: Drive) -> list[Finding]:
         if bend * wheelbase > 1.5 and not found:
             found.append(
                 Finding(
-                    "curvature", "error", "odometry.csv",
+                    "curvature", "error", drive.names.odometry,
                     f"bends of {1.0 / bend:.2f} m radius at speed",
                     f"no less than {wheelbase:.1f} m, which wheels can steer",
                     "check the units of speed and yaw rate",
@@ -151,7 +151,7 @@ def gnss_findings(drive: Drive) -> list[Finding]:
     if hdop > _HDOP_DOUBT:
         found.append(
             Finding(
-                "hdop", "warning", "gnss.csv", f"hdop is {hdop:.1f} in the median",
+                "hdop", "warning", drive.names.gnss, f"hdop is {hdop:.1f} in the median",
                 f"below {_HDOP_DOUBT:.0f}", "write the dilution of precision, not an accuracy",
             )
         )  # fmt: skip
@@ -159,7 +159,8 @@ def gnss_findings(drive: Drive) -> list[Finding]:
     if unusable > 0.1 * len(gnss):
         found.append(
             Finding(
-                "hdop", "warning", "gnss.csv", f"hdop is no positive number in {unusable} rows",
+                "hdop", "warning", drive.names.gnss,
+                f"hdop is no positive number in {unusable} rows",
                 "a dilution of precision above 0", "taken as 1; write what the receiver says",
             )
         )  # fmt: skip
@@ -167,8 +168,10 @@ def gnss_findings(drive: Drive) -> list[Finding]:
     if len(gnss) > 10 and np.ptp(points, axis=0).max() < 1e-6:
         found.append(
             Finding(
-                "gnss_frozen", "warning", "gnss.csv", f"all {len(gnss)} fixes are the same",
-                "fixes that move", "check the receiver; leave gnss.csv away if it had no fix",
+                "gnss_frozen", "warning", drive.names.gnss,
+                f"all {len(gnss)} fixes are the same",
+                "fixes that move",
+                f"check the receiver; leave {drive.names.gnss} away if it had no fix",
             )
         )  # fmt: skip
     return found
@@ -184,8 +187,9 @@ def pole_findings(drive: Drive) -> list[Finding]:
     if not _POLE_NEAR_M < distance < _POLE_FAR_M:
         found.append(
             Finding(
-                "pole_range", "error", "poles.csv", f"poles {distance:.3g} m away in the median",
-                f"{_POLE_NEAR_M:g} to {_POLE_FAR_M:g} m", "write x_m and y_m in metres",
+                "pole_range", "error", drive.names.poles,
+                f"poles {distance:.3g} m away in the median",
+                f"{_POLE_NEAR_M:g} to {_POLE_FAR_M:g} m", "write x and y in metres",
             )
         )  # fmt: skip
     widths = np.concatenate([scan.width_m for scan in drive.scans if len(scan)])
@@ -193,7 +197,7 @@ def pole_findings(drive: Drive) -> list[Finding]:
     if len(widths) and not 0.0 <= np.median(widths) <= _POLE_WIDTH_M:
         found.append(
             Finding(
-                "pole_width", "error", "poles.csv",
+                "pole_width", "error", drive.names.poles,
                 f"poles {np.median(widths):.3g} m wide in the median",
                 f"0 to {_POLE_WIDTH_M:g} m", "write width_m in metres, or leave the cells empty",
             )
@@ -202,7 +206,7 @@ def pole_findings(drive: Drive) -> list[Finding]:
     if np.median(variances) > 25.0:
         found.append(
             Finding(
-                "pole_variance", "warning", "poles.csv",
+                "pole_variance", "warning", drive.names.poles,
                 f"var_x_m2 is {np.median(variances):.3g} in the median", "below 25 m2",
                 "write variances in square metres",
             )
@@ -223,7 +227,7 @@ def duplicate_findings(drive: Drive) -> list[Finding]:
             continue
         found.append(
             Finding(
-                "stamp_rounding", "warning", f"{name}.csv",
+                "stamp_rounding", "warning", getattr(drive.names, name),
                 f"{lost} of {lost + len(stream)} rows repeat the stamp before (left out)",
                 "one row a stamp", "write the stamps with more decimals",
             )

@@ -28,6 +28,7 @@ from polemap.drivelog.plausibility.odometer import (
     of_places,
     of_reference,
 )
+from polemap.drivelog.source_names import SourceNames
 from polemap.vehicle.pose import rotate
 
 
@@ -52,10 +53,15 @@ def check_drive(drive: Drive) -> list[Finding]:
 
 def _motion(drive: Drive) -> list[Finding]:
     """Odometry, reference, fixes and poles as four tellers of one motion."""
-    odometry = _moving(of_odometry(drive.odometry)) if drive.odometry is not None else None
-    gnss = _moving(of_gnss(drive.gnss)) if drive.gnss is not None else None
+    names = drive.names
+    odometry = gnss = yawed = None
+    if drive.odometry is not None:
+        odometry = _moving(of_odometry(drive.odometry, names.odometry))
+    if drive.gnss is not None:
+        gnss = _moving(of_gnss(drive.gnss, names.gnss))
     posed = drive.reference is not None and len(drive.reference) > 5
-    yawed = of_reference(drive.reference) if posed and drive.reference is not None else None
+    if posed and drive.reference is not None:
+        yawed = of_reference(drive.reference, names.reference)
     found = reference.range_findings(drive)
     turn_ratio = float("nan")
     if odometry is not None and yawed is not None:
@@ -69,7 +75,7 @@ def _motion(drive: Drive) -> list[Finding]:
             if yaw_found:
                 # the yaw is wrong: the positions alone still tell way and turn
                 stamps, points = drive.reference.stamp_s, drive.reference.poses[:, :2]
-                trusted = of_places("reference.csv", stamps, points, 1.0)
+                trusted = of_places(names.reference, stamps, points, 1.0)
             mirrored = any(f.kind == "reference_axes" for f in yaw_found + found)
             trusted = yawed if mirrored else trusted
     trusted = _moving(trusted)
@@ -85,14 +91,14 @@ def _motion(drive: Drive) -> list[Finding]:
     odometry, trusted, gnss = (time.shifted(track, offset) for track in (odometry, trusted, gnss))
     if posed_well and odometry is not None and trusted is not None and not found:
         found += reference.across_findings(odometry, trusted)
-    found += _scales(odometry, trusted, gnss)
-    if not any(f.stream == "odometry.csv" and f.severity == "error" for f in found):
+    found += _scales(names, odometry, trusted, gnss)
+    if not any(f.stream == names.odometry and f.severity == "error" for f in found):
         found += absolute.odometry_findings(drive)
     teller = trusted if posed_well else odometry
     found += stretches.frozen_fixes(drive, teller)
     if teller is None:
         return found
-    quiet = not any(f.stream in ("odometry.csv", "reference.csv") for f in found)
+    quiet = not any(f.stream in (names.odometry, names.reference) for f in found)
     if quiet and offset is None:
         found += fix_delay.delay_findings(drive, teller, heading_known=posed_well)
     agreed = odometry is not None and (trusted is not None or gnss is not None)
@@ -108,7 +114,9 @@ def _places_contradict(drive: Drive, offset: time.Offset) -> bool:
     On laps, a round earlier fits the motion as well.
     """
     gnss, posed = drive.gnss, drive.reference
-    late_s = {"gnss.csv": -offset.late_s, "reference.csv": offset.late_s}.get(offset.late.name)
+    late_s = {drive.names.gnss: -offset.late_s, drive.names.reference: offset.late_s}.get(
+        offset.late.name
+    )
     if gnss is None or posed is None or late_s is None:
         return False
     fixes = np.stack([gnss.east_m, gnss.north_m], axis=1)
@@ -123,14 +131,17 @@ def _places_contradict(drive: Drive, offset: time.Offset) -> bool:
 
 
 def _scales(
-    odometry: Odometer | None, trusted: Odometer | None, gnss: Odometer | None
+    names: SourceNames,
+    odometry: Odometer | None,
+    trusted: Odometer | None,
+    gnss: Odometer | None,
 ) -> list[Finding]:
     """Scales of speed and turn; fixes tell whether odometry or reference is off."""
     found = []
     if odometry is None:
         if trusted is not None and gnss is not None:
             scales = motion.find_scales(trusted, gnss)
-            found += motion.speed_findings("reference.csv", scales, "gnss.csv", noisy=True)
+            found += motion.speed_findings(names.reference, scales, names.gnss, noisy=True)
         return found
     judge = trusted if trusted is not None else gnss
     if judge is None:
@@ -150,13 +161,13 @@ def _scales(
         turn = 1.0 / turns if turns else float("nan")
         scales = motion.Scales(scales.speed, turn, scales.speed_spans, scales.turn_spans)
     alike = bool(scales.speed > 30.0 and abs(scales.turn / scales.speed - 1.0) < 0.2)
-    stream, against = "odometry.csv", judge.name
+    stream, against = names.odometry, judge.name
     if gnss is not None and judge is not gnss and np.isfinite(scales.speed):
         other = motion.find_scales(odometry, gnss)
         ratio = abs(scales.speed)
         off = ratio > 0.0 and abs(np.log(ratio)) > 0.3
         if off and np.isfinite(other.speed) and 0.7 < other.speed < 1.4:
-            stream, against = "reference.csv", "odometry.csv and gnss.csv"
+            stream, against = names.reference, f"{names.odometry} and {names.gnss}"
             inverse = motion.Scales(1.0 / scales.speed, scales.turn, scales.speed_spans, 0)
             return motion.speed_findings(stream, inverse, against, noisy=False)
     found += motion.speed_findings(stream, scales, against, noisy=noisy, turn_alike=alike)

@@ -74,7 +74,7 @@ def place_findings(drive: Drive, motion: Odometer, *, surveyed: bool) -> list[Fi
     turned = f"turned by {np.degrees(yaw):.1f} degrees" if off[2] else ""
     return [
         Finding(
-            "pole_mounting", "warning", "poles.csv",
+            "pole_mounting", "warning", drive.names.poles,
             f"its poles move as if seen {' and '.join(filter(None, (where, turned)))} "
             f"({place.matches} met again)", "poles in the vehicle frame, from the rear axle",
             "correct the detector's mounting by this",

@@ -50,7 +50,7 @@ def delay_findings(drive: Drive, motion: Odometer, *, heading_known: bool) -> li
         return []
     return [
         Finding(
-            "clock_offset", "error" if size > _DELAY_WRONG_S else "warning", "gnss.csv",
+            "clock_offset", "error" if size > _DELAY_WRONG_S else "warning", drive.names.gnss,
             f"the fixes lie where {motion.name} was {size:.2f} s {'before' if late else 'later'} "
             f"(sd {delay.sd_s:.2f} s)", f"within {_DELAY_DOUBT_S:g} s",
             f"{'subtract' if late else 'add'} {size:.2f} s {'from' if late else 'to'} its stamps",

@@ -56,10 +56,10 @@ class Odometer:
         return way, turn, known
 
 
-def of_odometry(odometry: OdometryStream) -> Odometer:
+def of_odometry(odometry: OdometryStream, name: str = "odometry") -> Odometer:
     """Wheel odometry, by the trapezoid rule."""
     return Odometer(
-        "odometry.csv",
+        name,
         odometry.stamp_s,
         _summed(odometry.stamp_s, odometry.speed_mps),
         _summed(odometry.stamp_s, odometry.yaw_rate_radps),
@@ -68,14 +68,14 @@ def of_odometry(odometry: OdometryStream) -> Odometer:
     )
 
 
-def of_reference(reference: ReferenceStream) -> Odometer:
+def of_reference(reference: ReferenceStream, name: str = "reference") -> Odometer:
     """Reference poses: the way is what of each step lies along the yaw."""
     yaw = np.unwrap(reference.poses[:, 2])
     step = np.diff(reference.poses[:, :2], axis=0)
     middle = 0.5 * (yaw[1:] + yaw[:-1])
     along = rotate_back(step, middle)[:, 0]
     path = np.concatenate([[0.0], np.cumsum(along)])
-    return Odometer("reference.csv", reference.stamp_s, path, yaw, gap_s=1.0, smooth_s=0.5)
+    return Odometer(name, reference.stamp_s, path, yaw, gap_s=1.0, smooth_s=0.5)
 
 
 def of_places(name: str, stamps_s: Floats, points_m: Floats, chord_s: float) -> Odometer | None:
@@ -110,10 +110,10 @@ def of_places(name: str, stamps_s: Floats, points_m: Floats, chord_s: float) -> 
     )
 
 
-def of_gnss(gnss: GnssStream) -> Odometer | None:
+def of_gnss(gnss: GnssStream, name: str = "fixes") -> Odometer | None:
     """GNSS fixes, by chords of two seconds: over less than that their noise outweighs the way."""
     points = np.stack([gnss.east_m, gnss.north_m], axis=1)
-    return of_places("gnss.csv", gnss.stamp_s, points, 2.0)
+    return of_places(name, gnss.stamp_s, points, 2.0)
 
 
 def common_spans(first: Odometer, second: Odometer, span_s: float) -> tuple[Floats, ...]:

@@ -32,9 +32,9 @@ def stamp_findings(drive: Drive) -> list[Finding]:
     """Stamps of the pictures against the odometry, from the stretch that turns most variedly."""
     rig = drive.rig
     if drive.odometry is not None and len(drive.odometry) > 10:
-        motion = of_odometry(drive.odometry)
+        motion = of_odometry(drive.odometry, drive.names.odometry)
     elif drive.reference is not None and len(drive.reference) > 10:
-        motion = of_reference(drive.reference)
+        motion = of_reference(drive.reference, drive.names.reference)
     else:
         return []
     first = _liveliest(drive.frame_stamps_s, motion)
@@ -59,7 +59,7 @@ def stamp_findings(drive: Drive) -> list[Finding]:
     if share[best] < 0.0 and abs(now) > _EXPLAINED_MIN:
         return [
             Finding(
-                "picture_mirrored", "error", "frames.csv",
+                "picture_mirrored", "error", drive.names.frames,
                 f"they swing against {motion.name} ({100 * abs(now):.0f} % explained)",
                 "the same sense", "check the sign of the yaw rate, or for mirrored pictures",
             )
@@ -75,11 +75,11 @@ def stamp_findings(drive: Drive) -> list[Finding]:
     late = lag < 0.0
     return [
         Finding(
-            "clock_offset", "error" if abs(lag) > _LAG_WRONG_S else "warning", "frames.csv",
+            "clock_offset", "error" if abs(lag) > _LAG_WRONG_S else "warning", drive.names.frames,
             f"the pictures swing {abs(lag):.2f} s {'after' if late else 'before'} {motion.name} "
             f"turns ({100 * share[best]:.0f} % explained)", f"within {_LAG_DOUBT_S:g} s",
             f"{'subtract' if late else 'add'} {abs(lag):.2f} s {'from' if late else 'to'} the "
-            "stamps of frames.csv",
+            f"stamps of {drive.names.frames}",
         )
     ]  # fmt: skip
 

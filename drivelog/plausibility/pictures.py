@@ -79,11 +79,11 @@ def check_pictures(drive: Drive) -> list[Finding]:
         value = str(error).removeprefix(f"{drive.path}/")
         return [
             Finding(
-                "picture", "error", "frames.csv", value, "pictures of the drive's camera",
+                "picture", "error", drive.names.frames, value, "pictures of the drive's camera",
                 "rectify them with this calibration, or restore the file",
             )
         ]  # fmt: skip
-    found = _light(pairs)
+    found = _light(drive.names.frames, pairs)
     if any(finding.severity == "error" for finding in found):
         return found
     matches = [match_pair(left, right) for left, right in pairs]
@@ -92,21 +92,21 @@ def check_pictures(drive: Drive) -> list[Finding]:
         few = int(np.median([len(match.places_px) for match in matches]))
         found.append(
             Finding(
-                "picture_match", "warning", "frames.csv",
+                "picture_match", "warning", drive.names.frames,
                 f"{few} features in the median are found in both pictures of a pair",
                 f"{_LEAST_FEATURES} or more", "check focus, exposure and that the pairs belong "
                 "together",
             )
         )  # fmt: skip
         return found
-    wrong = _order(seen) or _rows(drive, rows, matches)
+    wrong = _order(drive.names.frames, seen) or _rows(drive, rows, matches)
     if not wrong and choice is moving:
         wrong = camera_findings(drive, _motions(drive, rows, pairs, matches))
-    return found + wrong + ([] if _of_pairs(wrong) else stamp_findings(drive))
+    return found + wrong + ([] if _of_pairs(drive.names.frames, wrong) else stamp_findings(drive))
 
 
-def _of_pairs(found: list[Finding]) -> bool:
-    return any(finding.stream == "frames.csv" for finding in found)
+def _of_pairs(name: str, found: list[Finding]) -> bool:
+    return any(finding.stream == name for finding in found)
 
 
 def _motions(
@@ -138,13 +138,13 @@ def match_pair(left: Image, right: Image, features: int = _FEATURES) -> PairMatc
     return PairMatch(places, steps)
 
 
-def _light(pairs: list[tuple[Image, Image]]) -> list[Finding]:
+def _light(name: str, pairs: list[tuple[Image, Image]]) -> list[Finding]:
     """Exposure, a covered camera, the same picture twice."""
     if all(np.array_equal(left, right) for left, right in pairs):
         return [
             Finding(
-                "picture_same", "error", "frames.csv", "left and right picture are the same",
-                "two cameras", "name the right camera's pictures in the column right",
+                "picture_same", "error", name, "left and right picture are the same",
+                "two cameras", "name the right camera's pictures as the right ones",
             )
         ]  # fmt: skip
     depth = 257.0 if pairs[0][0].dtype == np.uint16 else 1.0
@@ -155,7 +155,7 @@ def _light(pairs: list[tuple[Image, Image]]) -> list[Finding]:
         side = "left" if left < right else "right"
         return [
             Finding(
-                "picture_covered", "error", "frames.csv",
+                "picture_covered", "error", name,
                 f"the {side} picture is uniform (sd {min(left, right):.1f} of 255 grey values, the "
                 f"other {max(left, right):.1f})", "two pictures of the same scene",
                 f"uncover or replace the {side} camera",
@@ -165,7 +165,7 @@ def _light(pairs: list[tuple[Image, Image]]) -> list[Finding]:
     if not 1.0 / _EXPOSURE < ratio < _EXPOSURE:
         return [
             Finding(
-                "picture_exposure", "warning", "frames.csv",
+                "picture_exposure", "warning", name,
                 f"the left picture is {ratio:.2f} times as bright as the right one",
                 f"a ratio below {_EXPOSURE:g}", "couple the exposure of the cameras",
             )
@@ -173,16 +173,16 @@ def _light(pairs: list[tuple[Image, Image]]) -> list[Finding]:
     return []
 
 
-def _order(matches: list[PairMatch]) -> list[Finding]:
+def _order(name: str, matches: list[PairMatch]) -> list[Finding]:
     share = float(np.median([match.to_the_right for match in matches]))
     if share < 0.6:
         return []
     return [
         Finding(
-            "picture_order", "error", "frames.csv",
+            "picture_order", "error", name,
             f"{100 * share:.0f} % of the features stand farther right in the right picture",
             "farther left: disparities are positive",
-            "exchange the columns left and right (or the pictures)",
+            "exchange left and right",
         )
     ]  # fmt: skip
 
@@ -197,7 +197,7 @@ def _rows(drive: Drive, rows: NDArray[np.int_], matches: list[PairMatch]) -> lis
         return []
     return [
         Finding(
-            "picture_rows", "error" if abs(row) > _ROWS_WRONG_PX else "warning", "frames.csv",
+            "picture_rows", "error" if abs(row) > _ROWS_WRONG_PX else "warning", drive.names.frames,
             f"the right picture stands {abs(row):.1f} px {'lower' if row > 0 else 'higher'}",
             f"the same rows within {_ROWS_DOUBT_PX:g} px", "rectify the pictures again",
         )
@@ -216,7 +216,7 @@ def _scattered(
         across = float(np.median([size for _, size in slopes]))
         return [
             Finding(
-                "picture_rectified", "error", "frames.csv",
+                "picture_rectified", "error", drive.names.frames,
                 f"{value}; the rows drift by {across:.1f} px over the picture", expected,
                 "rectify the pictures with the calibration of this rig",
             )
@@ -227,7 +227,7 @@ def _scattered(
     text = f"; {other}" if other else ""
     return [
         Finding(
-            "picture_instant", "error", "frames.csv",
+            "picture_instant", "error", drive.names.frames,
             value + (text or "; they do not show the same instant"), expected,
             "pair pictures that were taken at the same time",
         )

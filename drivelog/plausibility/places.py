@@ -35,9 +35,9 @@ def zone_findings(drive: Drive) -> list[Finding]:
     if place is None:
         return [
             Finding(
-                "gnss_place", "error", "gnss.csv", f"its fixes have no place in {frame}",
+                "gnss_place", "error", drive.names.gnss, f"its fixes have no place in {frame}",
                 "fixes in the frame's zone",
-                "check latitude_deg and longitude_deg, and the epsg in drive.yaml",
+                f"check latitude and longitude, and the epsg in {drive.names.head}",
             )
         ]  # fmt: skip
     latitude, longitude = place
@@ -48,7 +48,7 @@ def zone_findings(drive: Drive) -> list[Finding]:
         if _in_zone(frame, lat, lon):
             return [
                 Finding(
-                    "gnss_axes", "error", "gnss.csv", f"{value} lie outside of {frame}; "
+                    "gnss_axes", "error", drive.names.gnss, f"{value} lie outside of {frame}; "
                     f"inside with {name}", f"fixes in {frame}", _remedy(name),
                 )
             ]  # fmt: skip
@@ -59,9 +59,9 @@ def zone_findings(drive: Drive) -> list[Finding]:
     far = abs(_off_zone_deg(frame, longitude)) > 6.0 + _ZONE_MARGIN_DEG
     return [
         Finding(
-            "zone", "error" if far else "warning", "drive.yaml",
+            "zone", "error" if far else "warning", drive.names.head,
             f"{value} lie in {own}, the frame is {frame}", "a frame of the fixes' zone",
-            "correct the epsg in drive.yaml, or latitude_deg and longitude_deg",
+            f"correct the epsg in {drive.names.head}, or latitude and longitude",
         )
     ]  # fmt: skip
 
@@ -84,14 +84,14 @@ def distance_findings(drive: Drive) -> list[Finding]:
     off = points - places[:, :2]
     distance = _median(off)
     if distance < _FAR_DOUBT_M:
-        return _rotation(points, places[:, :2])
+        return _rotation(drive.names.reference, points, places[:, :2])
     east, north = np.median(off, axis=0)
-    value = f"fixes are {_metres(distance)} from reference.csv in the median"
+    value = f"fixes are {_metres(distance)} from {drive.names.reference} in the median"
     expected = f"within {_FAR_DOUBT_M:.0f} m"
     if cause := _cause(drive, points, places[:, :2], distance):
         kind, stream, text, remedy = cause
         return [Finding(kind, "error", stream, f"{value}; {text}", expected, remedy)]
-    if turned := _rotation(points, places[:, :2]):
+    if turned := _rotation(drive.names.reference, points, places[:, :2]):
         return turned
     constant = np.hypot(*(off - (east, north)).T)
     shift = float(np.median(constant)) < 0.3 * distance
@@ -99,15 +99,15 @@ def distance_findings(drive: Drive) -> list[Finding]:
         Finding(
             "gnss_reference",
             "error" if distance > _FAR_WRONG_M else "warning",
-            "reference.csv",
+            drive.names.reference,
             value + (f", all by east {east:.1f}, north {north:.1f} m" if shift else ""),
             expected,
-            "bring reference.csv and gnss.csv into one frame and origin",
+            f"bring {drive.names.reference} and {drive.names.gnss} into one frame and origin",
         )
     ]
 
 
-def _rotation(fixes: Floats, places: Floats) -> list[Finding]:
+def _rotation(name: str, fixes: Floats, places: Floats) -> list[Finding]:
     """Whether the track of the fixes is turned against that of the reference."""
     if len(fixes) < 10:
         return []
@@ -126,7 +126,7 @@ def _rotation(fixes: Floats, places: Floats) -> list[Finding]:
         return []
     return [
         Finding(
-            "reference_rotation", "warning", "reference.csv",
+            "reference_rotation", "warning", name,
             f"its track is turned by {np.degrees(-turn):.1f} degrees against the fixes",
             f"within {np.degrees(_TURNED_RAD + 2.0 * spread / extent):.1f} degrees",
             "bring the reference into the frame's grid: east is grid east",
@@ -139,8 +139,8 @@ def _cause(
 ) -> tuple[str, str, str, str] | None:
     """Kind, stream, what it is and the remedy, where one known mistake explains the distance."""
     if _near(fixes, places[:, ::-1]) and _median(fixes - places[:, ::-1]) < 0.3 * distance:
-        return ("reference_axes", "reference.csv", "they agree with east_m and north_m exchanged",
-                "exchange the columns east_m and north_m")  # fmt: skip
+        return ("reference_axes", drive.names.reference,
+                "they agree with east and north exchanged", "exchange east and north")  # fmt: skip
     frame = drive.frame
     if not frame.is_utm or frame.epsg is None:
         return None
@@ -149,7 +149,7 @@ def _cause(
         return None
     for name, (lat, lon) in _guesses(geographic[:, 0], geographic[:, 1]).items():
         if np.abs(lat).max() < 85.0 and _near(grid_from_geographic(frame, lat, lon), places):
-            return "gnss_axes", "gnss.csv", f"they agree with {name}", _remedy(name)
+            return "gnss_axes", drive.names.gnss, f"they agree with {name}", _remedy(name)
     band = frame.epsg // 100 * 100
     if band in (32600, 32700):
         for zone in range(1, 61):
@@ -163,13 +163,14 @@ def _cause(
                         grid_from_geographic(guess, geographic[:, 0], geographic[:, 1]), places
                     )
                 ):
-                    return ("zone", "drive.yaml", f"they agree in {guess}, the frame is {frame}",
-                            f"write epsg {other} in drive.yaml")  # fmt: skip
+                    return ("zone", drive.names.head,
+                            f"they agree in {guess}, the frame is {frame}",
+                            f"write epsg {other} in {drive.names.head}")  # fmt: skip
     middle = np.median(places, axis=0)
     if np.hypot(*middle) < 50_000.0:
-        return ("reference_place", "reference.csv",
+        return ("reference_place", drive.names.reference,
                 "its coordinates are local, the frame is a UTM zone",
-                "write the reference in the frame of drive.yaml")  # fmt: skip
+                f"write the reference in the frame of {drive.names.head}")  # fmt: skip
     return None
 
 
@@ -191,7 +192,7 @@ def _guesses(latitude: Floats | float, longitude: Floats | float) -> dict[str, t
 
 def _remedy(name: str) -> str:
     if name.startswith("latitude"):
-        return "exchange the columns latitude_deg and longitude_deg"
+        return "exchange latitude and longitude"
     return "write east and north positive, west and south negative"
 
 

@@ -55,9 +55,9 @@ MISTAKES = (
     Mistake("pole_turn", "turn to the other side", turn=-1.0),
     Mistake("pole_direction", "move the other way", way=-1.0),
     Mistake("pole_direction", "move the other way and turn to the other side", way=-1.0, turn=-1.0),
-    Mistake("pole_axes", "fit with x_m and y_m exchanged", axes=((0, 1), (1, 0))),
-    Mistake("pole_axes", "fit with x_m to the right and y_m ahead", axes=((0, 1), (-1, 0))),
-    Mistake("pole_axes", "fit with x_m to the left and y_m backward", axes=((0, -1), (1, 0))),
+    Mistake("pole_axes", "fit with x and y exchanged", axes=((0, 1), (1, 0))),
+    Mistake("pole_axes", "fit with x to the right and y ahead", axes=((0, 1), (-1, 0))),
+    Mistake("pole_axes", "fit with x to the left and y backward", axes=((0, -1), (1, 0))),
     Mistake("pole_speed", "fit a speed 3.6 times smaller (km/h)", way=1 / 3.6),
     Mistake("pole_speed", "fit a speed 3.6 times larger", way=3.6),
     Mistake("pole_speed", "fit a speed 2.24 times smaller (mph)", way=0.44704),
@@ -201,7 +201,16 @@ def motion_findings(drive: Drive, motion: Odometer, *, confirmed: bool) -> list[
     ranked = [advantage(agreement(pairs, motion, mistake), told) for mistake in MISTAKES]
     best = int(np.argmax([sds for sds, _ in ranked]))
     if ranked[best][0] > _BETTER_SDS and ranked[best][1] > _BETTER_RATIO:
-        return [_mistaken(MISTAKES[best], motion.name, ranked[best][1], len(pairs), confirmed)]
+        return [
+            _mistaken(
+                MISTAKES[best],
+                drive.names.poles,
+                motion.name,
+                ranked[best][1],
+                len(pairs),
+                confirmed,
+            )
+        ]
     lags = [advantage(agreement(pairs, motion, AS_TOLD, lag), told) for lag in LAGS_S]
     best = int(np.argmax([sds for sds, _ in lags]))
     lag, (sds, ratio) = LAGS_S[best], lags[best]
@@ -210,7 +219,7 @@ def motion_findings(drive: Drive, motion: Odometer, *, confirmed: bool) -> list[
     late = lag < 0.0
     return [
         Finding(
-            "clock_offset", "error" if abs(lag) > _LAG_WRONG_S else "warning", "poles.csv",
+            "clock_offset", "error" if abs(lag) > _LAG_WRONG_S else "warning", drive.names.poles,
             f"it tells the motion of {motion.name} about {abs(lag):.1f} s "
             f"{'late' if late else 'early'} ({ratio:.2f} times as many poles meet)",
             "the same clock",
@@ -227,23 +236,25 @@ def contradicted(drive: Drive, first: Odometer, second: Odometer) -> Odometer:
     return first if sds > 2.0 else second
 
 
-def _mistaken(mistake: Mistake, name: str, ratio: float, pairs: int, confirmed: bool) -> Finding:
-    at_fault = "poles.csv" if confirmed else name
+def _mistaken(
+    mistake: Mistake, poles: str, name: str, ratio: float, pairs: int, confirmed: bool
+) -> Finding:
+    at_fault = poles if confirmed else name
     remedies = {
-        "pole_turn": "write y_m to the left" if confirmed
-        else f"change the sign of the yaw rate of {name}, or of y_m of poles.csv",
-        "pole_direction": "write x_m ahead and y_m to the left" if confirmed
-        else f"change the sign of the speed of {name}, or of x_m and y_m of poles.csv",
-        "pole_axes": "write x_m ahead and y_m to the left",
-        "pole_speed": "check the unit of x_m and y_m" if confirmed
-        else f"check the unit of the speed of {name} and of x_m, y_m of poles.csv",
-        "pole_turn_unit": "check x_m and y_m" if confirmed
+        "pole_turn": "write y to the left" if confirmed
+        else f"change the sign of the yaw rate of {name}, or of y of {poles}",
+        "pole_direction": "write x ahead and y to the left" if confirmed
+        else f"change the sign of the speed of {name}, or of x and y of {poles}",
+        "pole_axes": "write x ahead and y to the left",
+        "pole_speed": "check the unit of x and y" if confirmed
+        else f"check the unit of the speed of {name} and of x, y of {poles}",
+        "pole_turn_unit": "check x and y" if confirmed
         else f"write the yaw rate of {name} in rad/s",
     }  # fmt: skip
     return Finding(
         mistake.kind,
         "error",
-        "poles.csv" if mistake.kind == "pole_axes" else at_fault,
+        poles if mistake.kind == "pole_axes" else at_fault,
         f"the poles {mistake.text} against the motion of {name} ({ratio:.2g} times as many meet in "
         f"{pairs} pairs of scans)",
         "poles that stand still",

@@ -98,16 +98,16 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
     if fits[name] < _FIT_RAD and mirrored and turn_ratio > 0.0:
         return [
             Finding(
-                "reference_axes", "error", "reference.csv",
+                "reference_axes", "error", drive.names.reference,
                 f"{value}, but turns like the odometry: its positions are mirrored",
-                "east_m east and north_m north", "exchange the columns east_m and north_m",
+                "east to the east and north to the north", "exchange east and north",
             )
         ]  # fmt: skip
     if fits[name] < _FIT_RAD:
         return [
             Finding(
-                "reference_yaw", "error", "reference.csv", f"{value}; {name}", expected,
-                f"{guesses[name][1]} (yaw_rad is counter-clockwise from grid east)",
+                "reference_yaw", "error", drive.names.reference, f"{value}; {name}", expected,
+                f"{guesses[name][1]} (a yaw is counter-clockwise from grid east)",
             )
         ]  # fmt: skip
     if (
@@ -116,7 +116,7 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
     ):
         return [
             Finding(
-                "reference_yaw_unit", "error", "reference.csv", f"{value}; it is in degrees",
+                "reference_yaw_unit", "error", drive.names.reference, f"{value}; it is in degrees",
                 expected, "write the yaw in radians",
             )
         ]  # fmt: skip
@@ -126,7 +126,7 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
     text = f"; a constant {np.degrees(constant):.1f} degrees" if spread < 0.5 * off else ", varying"
     return [
         Finding(
-            "reference_yaw", "error" if severe else "warning", "reference.csv", value + text,
+            "reference_yaw", "error" if severe else "warning", drive.names.reference, value + text,
             expected, "check the yaw's convention and the alignment of the reference system",
         )
     ]  # fmt: skip
@@ -153,7 +153,7 @@ def _constant_findings(drive: Drive, chords: Chords) -> list[Finding]:
             )
     return [
         Finding(
-            "reference_yaw", "warning", "reference.csv",
+            "reference_yaw", "warning", drive.names.reference,
             f"its yaw is {np.degrees(constant):+.2f} degrees off its course where it goes straight",
             f"within {np.degrees(_YAW_CONSTANT_RAD):.1f} degrees", remedy,
         )
@@ -177,7 +177,7 @@ def lever_findings(drive: Drive, chords: Chords) -> list[Finding]:
     what = ", where the GNSS antenna is" if at_antenna else ""
     return [
         Finding(
-            "reference_lever_arm", "warning", "reference.csv",
+            "reference_lever_arm", "warning", drive.names.reference,
             f"it moves in bends as a point {abs(ahead):.2f} m {where} the rear axle{what}",
             f"the rear axle (within {_LEVER_M:.1f} m)",
             "shift the positions along the yaw to the rear axle",
@@ -232,8 +232,8 @@ def across_findings(odometry: Odometer, reference: Odometer) -> list[Finding]:
     side = "left" if left > 0 else "right"
     return [
         Finding(
-            "reference_lever_arm", "warning", "reference.csv",
-            f"in bends it goes as a point {abs(left):.2f} m {side} of odometry.csv's",
+            "reference_lever_arm", "warning", reference.name,
+            f"in bends it goes as a point {abs(left):.2f} m {side} of that of {odometry.name}",
             f"the middle of the rear axle (within {_ACROSS_M:.1f} m)",
             "shift the positions across the yaw to the middle of the rear axle",
         )
@@ -251,11 +251,11 @@ def range_findings(drive: Drive) -> list[Finding]:
     exchanged = _UTM_EAST_M[0] < north < _UTM_EAST_M[1] and east > _UTM_EAST_M[1]
     return [
         Finding(
-            "reference_axes" if exchanged else "reference_place", "error", "reference.csv",
+            "reference_axes" if exchanged else "reference_place", "error", drive.names.reference,
             f"east {east:.0f}, north {north:.0f} m",
             "east of 0 to 1000 km and north of 0 to 10000 km in a UTM zone",
-            "exchange the columns east_m and north_m" if exchanged
-            else "write coordinates of the frame in drive.yaml, or name the frame they are in",
+            "exchange east and north" if exchanged
+            else f"write coordinates of the frame of {drive.names.head}, or name theirs",
         )
     ]  # fmt: skip
 

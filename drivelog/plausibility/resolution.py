@@ -34,7 +34,7 @@ def _fix_grid(drive: Drive) -> list[Finding]:
         return []
     return [
         Finding(
-            "gnss_rounded", "warning", "gnss.csv",
+            "gnss_rounded", "warning", drive.names.gnss,
             f"fixes lie on a grid of {step:.3g} m, latitudes and longitudes with too few decimals",
             f"steps below {_GRID_DOUBT_M:g} m", "write degrees with seven decimals",
         )
@@ -74,7 +74,7 @@ def _held_reference(drive: Drive) -> list[Finding]:
         return []
     return [
         Finding(
-            "reference_held", "warning", "reference.csv",
+            "reference_held", "warning", drive.names.reference,
             f"{rows} of {len(reference)} rows repeat the pose before, then it jumps by "
             f"{jump_m:.2g} m in the median", "a pose measured at each stamp",
             "write only the rows in which the reference measured",

@@ -25,42 +25,42 @@ def row_findings(drive: Drive) -> list[Finding]:
 
 
 def _streams(drive: Drive) -> dict[str, tuple[Floats, Floats]]:
-    """Stamps and arrivals by the stream's file, of those that hold any."""
+    """Stamps and arrivals by the stream's role, of those that hold any."""
+    poles = [scan for scan in drive.scans if len(scan)]
     streams = {
-        "odometry.csv": (drive.odometry.stamp_s, drive.odometry.arrival_s)
-        if drive.odometry is not None
-        else None,
-        "gnss.csv": (drive.gnss.stamp_s, drive.gnss.arrival_s) if drive.gnss is not None else None,
-        "poles.csv": (
-            np.array([scan.stamp_s for scan in drive.scans if len(scan)]),
-            np.array([scan.arrival_s for scan in drive.scans if len(scan)]),
+        "poles": (
+            np.array([scan.stamp_s for scan in poles]),
+            np.array([scan.arrival_s for scan in poles]),
         ),
-        "frames.csv": (drive.frame_stamps_s, drive.frame_arrivals_s),
+        "frames": (drive.frame_stamps_s, drive.frame_arrivals_s),
     }
-    return {name: pair for name, pair in streams.items() if pair is not None and len(pair[0])}
+    measured = {"odometry": drive.odometry, "gnss": drive.gnss}
+    told = {role: (s.stamp_s, s.arrival_s) for role, s in measured.items() if s is not None}
+    return {role: pair for role, pair in (told | streams).items() if len(pair[0])}
 
 
 def _arrivals(drive: Drive) -> list[Finding]:
     found = []
-    for name, (stamps, arrivals) in _streams(drive).items():
+    for role, (stamps, arrivals) in _streams(drive).items():
+        name = getattr(drive.names, role)
         late = float(np.median(arrivals - stamps))
         if late >= _LATE_DOUBT_S:
             found.append(
                 Finding(
                     "arrival", "error" if late >= _LATE_WRONG_S else "warning", name,
                     f"rows arrive {late:.4g} s after their stamp in the median",
-                    f"within {_LATE_DOUBT_S:g} s", "write arrival_s by the clock of stamp_s, or "
-                    "leave it out",
+                    f"within {_LATE_DOUBT_S:g} s", "write arrivals by the clock of the stamps, "
+                    "or leave them out",
                 )
             )  # fmt: skip
-        before = drive.problems.get(f"{name.removesuffix('.csv')}_arrival_before_stamp", 0)
+        before = drive.problems.get(f"{role}_arrival_before_stamp", 0)
         if before > _BEFORE_SHARE * len(stamps):
             found.append(
                 Finding(
                     "arrival", "warning", name,
                     f"{before} of {len(stamps)} rows arrive before their stamp",
                     "an arrival after it",
-                    "taken as arriving at once; write arrival_s by the clock of stamp_s",
+                    "taken as arriving at once; write arrivals by the clock of the stamps",
                 )
             )  # fmt: skip
     return found
@@ -75,7 +75,7 @@ def _accuracy(drive: Drive) -> list[Finding]:
     if wrong > _SD_SHARE * len(reference):
         return [
             Finding(
-                "reference_sd", "warning", "reference.csv",
+                "reference_sd", "warning", drive.names.reference,
                 f"sd_m is not above 0 in {wrong} of {len(reference)} rows", "metres above 0",
                 "taken as not stated; leave the cells empty where the accuracy is not known",
             )
@@ -84,7 +84,7 @@ def _accuracy(drive: Drive) -> list[Finding]:
     if len(known) and float(np.median(known)) > _SD_DOUBT_M:
         return [
             Finding(
-                "reference_sd", "warning", "reference.csv",
+                "reference_sd", "warning", drive.names.reference,
                 f"sd_m is {np.median(known):.4g} in the median", f"below {_SD_DOUBT_M:g} m",
                 "write a standard deviation in metres, or do not map with this reference",
             )
@@ -98,7 +98,7 @@ def _no_fixes(drive: Drive) -> list[Finding]:
         return []
     return [
         Finding(
-            "gnss_no_fix", "warning", "gnss.csv",
+            "gnss_no_fix", "warning", drive.names.gnss,
             f"{count} fixes at 0, 0, far from the others (left out)", "rows with a fix alone",
             "leave the rows out in which the receiver had no fix",
         )
@@ -107,18 +107,19 @@ def _no_fixes(drive: Drive) -> list[Finding]:
 
 def _few(drive: Drive) -> list[Finding]:
     """Streams that hardly hold a row while the drive goes on."""
-    streams = {name: stamps for name, (stamps, _) in _streams(drive).items()}
+    streams = {role: stamps for role, (stamps, _) in _streams(drive).items()}
     if drive.reference is not None:
-        streams["reference.csv"] = drive.reference.stamp_s
+        streams["reference"] = drive.reference.stamp_s
     longest = max((s[-1] - s[0] for s in streams.values() if len(s)), default=0.0)
     if longest < _FEW_WITHIN_S:
         return []
     return [
         Finding(
-            "few_rows", "warning", name, f"{len(stamps)} row{'s' if len(stamps) > 1 else ''}",
-            f"rows over the drive's {longest:.0f} s", "check that the file is whole, or remove it",
+            "few_rows", "warning", getattr(drive.names, role),
+            f"{len(stamps)} row{'s' if len(stamps) > 1 else ''}",
+            f"rows over the drive's {longest:.0f} s", "check that it is whole, or remove it",
         )
-        for name, stamps in streams.items()
+        for role, stamps in streams.items()
         if 0 < len(stamps) <= _FEW_ROWS
     ]  # fmt: skip
 
@@ -135,7 +136,7 @@ def _laps(drive: Drive) -> list[Finding]:
     severe = unit is not None or all(_inside_s(lap, start, end) <= 0.0 for lap in drive.laps)
     return [
         Finding(
-            "laps", "error" if severe else "warning", "laps.csv",
+            "laps", "error" if severe else "warning", drive.names.laps,
             f"lap '{outside[0].name[:30]}' lasts from {outside[0].start_s:.3f} to "
             f"{outside[0].end_s:.3f} s" + (f" (as if in {unit})" if unit else ""),
             f"laps within {start:.3f} to {end:.3f} s",

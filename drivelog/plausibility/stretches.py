@@ -41,7 +41,7 @@ def frozen_speed(drive: Drive, judge: Odometer | None) -> list[Finding]:
         return []
     return [
         Finding(
-            "speed_frozen", "error", "odometry.csv",
+            "speed_frozen", "error", drive.names.odometry,
             f"speed_mps is {odometry.speed_mps[0]:g} in all {len(odometry)} rows, "
             f"{judge.name} goes at {low:.1f} to {high:.1f} m/s", "a measured speed",
             "write the speed as it was measured, not a default",
@@ -66,7 +66,7 @@ def frozen_fixes(drive: Drive, motion: Odometer | None) -> list[Finding]:
     longest = int(np.argmax(np.where(stuck, np.abs(way), 0.0)))
     return [
         Finding(
-            "gnss_frozen", "warning", "gnss.csv",
+            "gnss_frozen", "warning", drive.names.gnss,
             f"the fix of {gnss.stamp_s[firsts[longest]]:.3f} s stands in "
             f"{lasts[longest] - firsts[longest] + 1} rows, over {abs(way[longest]):.0f} m of way",
             "fixes that move with the car", "leave rows out that repeat an old fix",
@@ -136,7 +136,7 @@ def yaw_rate_offset(odometry: Odometer, reference: Odometer) -> tuple[Odometer, 
         return odometry, []
     heading = odometry.heading_rad - offset * (odometry.stamp_s - odometry.stamp_s[0])
     finding = Finding(
-        "yaw_rate_offset", "warning", "odometry.csv",
+        "yaw_rate_offset", "warning", odometry.name,
         f"it turns by {offset:.3f} rad/s more than {reference.name} in the median",
         f"within {_OFFSET_RADPS:g} rad/s", "subtract what the sensor shows standing still",
     )  # fmt: skip

@@ -29,11 +29,13 @@ _TICKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 def stamps_of(drive: Drive) -> dict[str, Floats]:
     """Stamps by the stream's name, of the streams that hold any."""
     streams = {
-        "odometry.csv": drive.odometry.stamp_s if drive.odometry is not None else np.empty(0),
-        "gnss.csv": drive.gnss.stamp_s if drive.gnss is not None else np.empty(0),
-        "reference.csv": drive.reference.stamp_s if drive.reference is not None else np.empty(0),
-        "poles.csv": np.array([scan.stamp_s for scan in drive.scans]),
-        "frames.csv": drive.frame_stamps_s,
+        drive.names.odometry: drive.odometry.stamp_s if drive.odometry is not None else np.empty(0),
+        drive.names.gnss: drive.gnss.stamp_s if drive.gnss is not None else np.empty(0),
+        drive.names.reference: drive.reference.stamp_s
+        if drive.reference is not None
+        else np.empty(0),
+        drive.names.poles: np.array([scan.stamp_s for scan in drive.scans]),
+        drive.names.frames: drive.frame_stamps_s,
     }
     return {name: stamps for name, stamps in streams.items() if len(stamps)}
 
@@ -45,11 +47,11 @@ def rate_findings(drive: Drive) -> list[Finding]:
         if len(stamps) < 10:
             continue
         step = float(np.median(np.diff(stamps)))
-        if name == "odometry.csv" and not 1e-4 <= step <= _STEP_MAX_S:
+        if name == drive.names.odometry and not 1e-4 <= step <= _STEP_MAX_S:
             found.append(
                 Finding(
                     "stamp_unit", "error", name, f"a row every {step:.4g} s",
-                    f"every 0.0001 to {_STEP_MAX_S:g} s", "write stamp_s in seconds",
+                    f"every 0.0001 to {_STEP_MAX_S:g} s", "write stamps in seconds",
                 )
             )  # fmt: skip
     return found
@@ -66,7 +68,7 @@ def overlap_findings(drive: Drive) -> list[Finding]:
         a: sum(min(shared[a, b], shared[b, a]) > _SHARED_MIN for b in stamps if b != a)
         for a in stamps
     }
-    base = max(stamps, key=lambda name: (agree[name], name == "odometry.csv"))
+    base = max(stamps, key=lambda name: (agree[name], name == drive.names.odometry))
     found = []
     for name, own in stamps.items():
         if name == base or shared[name, base] > _SHARED_MIN:
@@ -79,7 +81,7 @@ def overlap_findings(drive: Drive) -> list[Finding]:
                 f"its stamps {own[0]:.3f} to {own[-1]:.3f} share {100 * shared[name, base]:.0f} % "
                 f"of their rows with {base}" + (f"; they are {unit}" if unit else ""),
                 f"{stamps[base][0]:.3f} to {stamps[base][-1]:.3f} s",
-                "write stamp_s in seconds" if unit else "write all streams by one clock, in "
+                "write stamps in seconds" if unit else "write all streams by one clock, in "
                 f"seconds (they start {own[0] - stamps[base][0]:.3f} s apart)",
             )
         )  # fmt: skip
@@ -103,7 +105,7 @@ def gap_findings(drive: Drive) -> list[Finding]:
     largest = int(gaps[np.argmax(step[gaps])])
     return [
         Finding(
-            "gap", "note", "odometry.csv",
+            "gap", "note", drive.names.odometry,
             f"{len(gaps)} gaps over {_GAP_S:.0f} s, the longest {step[largest]:.1f} s from "
             f"{odometry.stamp_s[largest]:.3f} s", "rows without gaps",
             "the pose is not trusted there; cut the recording into drives at long gaps",

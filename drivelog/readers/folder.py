@@ -26,6 +26,7 @@ from polemap.drivelog.readers.folder_streams import (
 )
 from polemap.drivelog.readers.given import is_given
 from polemap.drivelog.readers.poles import read_scans
+from polemap.drivelog.source_names import FOLDER
 from polemap.drivelog.stamps import in_order
 from polemap.drivelog.streams import (
     OdometryCorrection,
@@ -106,6 +107,7 @@ class FolderReader:
             notes=tuple(notes),
             problems=dict(problems),
             findings=tuple(findings),
+            names=FOLDER,
         )
 
 

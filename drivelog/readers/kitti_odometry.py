@@ -31,6 +31,7 @@ from polemap.drivelog.readers.kitti import (
 )
 from polemap.drivelog.readers.kitti_clock import gap_note
 from polemap.drivelog.readers.kitti_pictures import NumberedPairs, find_pairs, lines_of
+from polemap.drivelog.source_names import SourceNames
 from polemap.drivelog.streams import ReferenceStream
 from polemap.stereo.rig import Mounting
 
@@ -90,6 +91,13 @@ class KittiOdometryReader:
             images=ImagePairs(found.paths, (rig.width_px, rig.height_px)),
             notes=(*notes, *pose_notes),
             problems=dict(problems),
+            names=SourceNames(
+                frames=" and ".join(f"image_{name}" for name in found.cameras),
+                odometry="odometry derived from the poses",
+                gnss="fixes derived from the poses",
+                reference=f"poses/{path.name}.txt",
+                head="calib.txt",
+            ),
         )
         if not len(camera_poses):
             return drive

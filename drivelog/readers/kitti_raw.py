@@ -33,6 +33,7 @@ from polemap.drivelog.readers.kitti import (
 )
 from polemap.drivelog.readers.kitti_clock import gap_note, read_timestamps
 from polemap.drivelog.readers.kitti_pictures import NumberedPairs, find_pairs
+from polemap.drivelog.source_names import SourceNames
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.stereo.errors import StereoError
 from polemap.stereo.io import read_kitti_calibration
@@ -44,6 +45,13 @@ Floats = NDArray[np.float64]
 
 _PAIRS = (("00", "01"), ("02", "03"))  # grey, else colour
 _CAMERAS = "calib_cam_to_cam.txt"
+_NAMES = SourceNames(
+    frames="the pictures",
+    odometry="oxts (vf, wu)",
+    gnss="oxts (lat, lon)",
+    reference="oxts (lat, lon, yaw)",
+    head=_CAMERAS,
+)
 _LATITUDE, _LONGITUDE, _YAW, _FORWARD_MPS, _UP_RADPS, _ACCURACY_M = 0, 1, 5, 8, 22, 23
 _FIELDS = 30
 
@@ -89,6 +97,7 @@ class KittiRawReader:
             reference=reference,
             notes=tuple(notes),
             problems=dict(problems),
+            names=_NAMES,
         )
 
 

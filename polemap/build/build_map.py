@@ -75,9 +75,9 @@ def observe(
     if drive.reference is None or not len(drive.reference):
         raise InputError(
             f"drive {drive.name}: it has no reference poses; a map is built from where the car "
-            "was: add reference.csv, or for a KITTI sequence the file of its poses"
+            f"was: add {drive.names.reference}"
         )
-    # poles of a poles.csv were detected by something else
+    # given poles were detected by something else
     rig = drive.rig if drive.has_frames else None
     gain = rig.focal_px * rig.baseline_m if rig is not None else None
     return observe_drive(name, drive.frame, scans, drive.reference, config, frame, gain)

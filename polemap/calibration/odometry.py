@@ -22,20 +22,24 @@ _BLOCK_S = 5.0
 _LEAST = 20
 _DIFFERENCE_S = 0.02
 _EXPLAINED_MIN = 0.6
-_SCALE_FLOOR = {"reference.csv": 0.0005, "the camera": 0.003}
+_REFERENCE_FLOOR, _CAMERA_FLOOR = 0.0005, 0.003
 # by ways and by turns: wheels slip with the acceleration, which looks like 10 to 20 ms
 _DELAY_FLOORS_S = (0.02, 0.003)
 
 
 @dataclass(frozen=True, slots=True)
 class Witness:
-    """Ways and turns `(n,)` of the rear axle over spans of time, from one source."""
+    """Ways and turns `(n,)` of the rear axle over spans of time, from one source.
+
+    `scale_floor` is the standard deviation of its own scale, however long it lasts.
+    """
 
     name: str
     from_s: Floats
     to_s: Floats
     way_m: Floats
     turn_rad: Floats
+    scale_floor: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +79,9 @@ def of_reference_poses(drive: Drive) -> Witness | None:
     to_s = odometer.stamp_s[np.minimum(nearest, len(odometer) - 1)]
     way, turn, known = odometer.spans(from_s, to_s)
     known &= to_s > from_s
-    return Witness("reference.csv", from_s[known], to_s[known], way[known], turn[known])
+    return Witness(
+        drive.names.reference, from_s[known], to_s[known], way[known], turn[known], _REFERENCE_FLOOR
+    )
 
 
 def of_camera(steps: CameraSteps, mount: Mounting) -> Witness | None:
@@ -85,7 +91,7 @@ def of_camera(steps: CameraSteps, mount: Mounting) -> Witness | None:
     moved, turn = steps.in_vehicle(mount)
     # the camera of a turning car moves by the turn about the axle, too
     way = moved[:, 0] + mount.y_m * np.sin(turn) + mount.x_m * (1.0 - np.cos(turn))
-    return Witness("the camera", steps.from_s, steps.to_s, way, turn)
+    return Witness("the camera", steps.from_s, steps.to_s, way, turn, _CAMERA_FLOOR)
 
 
 def odometry_errors(drive: Drive, witness: Witness) -> OdometryErrors | None:
@@ -124,7 +130,7 @@ def odometry_errors(drive: Drive, witness: Witness) -> OdometryErrors | None:
     return OdometryErrors(
         against=witness.name,
         speed_scale=float(way_fit.values[0]),
-        speed_scale_sd=float(np.hypot(way_fit.sd[0], _SCALE_FLOOR[witness.name])),
+        speed_scale_sd=float(np.hypot(way_fit.sd[0], witness.scale_floor)),
         delay_s=delay if told else float("nan"),
         delay_sd_s=delay_sd if told else float("nan"),
         spans=len(way_fit.residuals),

@@ -76,7 +76,7 @@ def check_map_of_drive(pole_map: PoleMap | CityMap, drive: Drive) -> list[Findin
                     f"the nearest pole is {_metres(near)} from {name}"
                     + (f"; they agree if {name} is in EPSG:{zone}" if zone else ""),
                     f"within {_FAR_M:.0f} m",
-                    f"write epsg {zone} in drive.yaml" if zone
+                    f"write epsg {zone} in {drive.names.head}" if zone
                     else "use a map of this place, in this drive's frame",
                 )
             ]  # fmt: skip
@@ -116,9 +116,9 @@ def _places(drive: Drive) -> list[tuple[str, Floats]]:
     places = []
     if drive.gnss is not None and len(drive.gnss):
         fixes = np.stack([drive.gnss.east_m, drive.gnss.north_m], axis=1)
-        places.append(("gnss.csv", fixes))
+        places.append((drive.names.gnss, fixes))
     if drive.reference is not None and len(drive.reference):
-        places.append(("reference.csv", drive.reference.poses[:, :2]))
+        places.append((drive.names.reference, drive.reference.poses[:, :2]))
     return places
 
 

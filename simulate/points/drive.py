@@ -18,6 +18,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.samples import Sample
+from polemap.drivelog.source_names import FOLDER
 from polemap.map.pole_map import PoleMap
 from polemap.simulate import sensors
 from polemap.simulate.config import DetectorConfig, GnssConfig, OdometryConfig
@@ -186,6 +187,7 @@ def sensed(
         )
         reference = replace(reference, stamp_s=reference.stamp_s + begin)
     return Drive(
+        names=FOLDER,
         name="points",
         path=Path("points"),
         frame=scenario.frame,

@@ -178,7 +178,7 @@ def test_a_steady_drive_knows_its_scale_but_no_delay() -> None:
     drive = drive_of(OdometryStream(at, at, 8.0 + noise, 0.1 * noise))
     span = np.arange(1.0, 28.0, 0.5)
     witness = Witness("the camera", span, span + 0.5, np.full(54, 4.0) + 0.002 *
-                      rng.standard_normal(54), 1e-4 * rng.standard_normal(54))  # fmt: skip
+                      rng.standard_normal(54), 1e-4 * rng.standard_normal(54), 0.003)  # fmt: skip
     found = odometry_errors(drive, witness)
     assert found is not None
     assert found.speed_scale == pytest.approx(1.0, abs=0.005)
@@ -189,5 +189,5 @@ def test_streams_that_do_not_meet_tell_nothing() -> None:
     at = np.arange(0.0, 30.0, 0.02)
     drive = drive_of(OdometryStream(at, at, np.full(len(at), 8.0), np.zeros(len(at))))
     span = np.arange(1000.0, 1030.0, 0.5)
-    far = Witness("the camera", span, span + 0.5, np.full(60, 4.0), np.zeros(60))
+    far = Witness("the camera", span, span + 0.5, np.full(60, 4.0), np.zeros(60), 0.003)
     assert odometry_errors(drive, far) is None

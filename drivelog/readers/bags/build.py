@@ -22,6 +22,7 @@ from polemap.drivelog.readers.bags.guess import Guess, is_video, pole_topic, use
 from polemap.drivelog.readers.bags.index import LogIndex
 from polemap.drivelog.readers.bags.odometry_signals import odometry_stream
 from polemap.drivelog.readers.bags.signals import Signals, gnss_stream, pole_scans, reference_stream
+from polemap.drivelog.readers.bags.topic_names import topic_names
 from polemap.drivelog.readers.bags.vehicle_frame import vehicle_frame
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 
@@ -84,6 +85,7 @@ class Build:
             notes=tuple(dict.fromkeys(self._notes)),
             problems={name: count for name, count in self._problems.items() if count},
             findings=tuple(self._findings),
+            names=topic_names(self._index, mapping),
             **frames,
         )
 

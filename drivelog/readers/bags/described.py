@@ -136,6 +136,7 @@ def with_description(read: Drive, described: Drive) -> Drive:
         notes=(*described.notes, *read.notes),
         problems={**described.problems, **read.problems},
         findings=(*described.findings, *read.findings),
+        names=replace(read.names, laps="laps.csv (attached)", head=f"{HEAD} (attached)"),
     )
 
 

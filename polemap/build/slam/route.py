@@ -146,7 +146,7 @@ def open_route(
     if odometry is None or len(odometry) < 2:
         raise InputError(
             f"drive {drive.name}: it has no odometry; without a reference a map needs the motion "
-            "of the car: add odometry.csv, or frames for --odometry camera"
+            f"of the car: add {drive.names.odometry}, or frames for --odometry camera"
         )
     nominal = dead_reckon(odometry, np.zeros(len(CALIBRATION)), noise)
     stamps = keyframe_stamps(nominal, KEYFRAME_M)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import pole_detections
 from polemap.drivelog.drive import Drive, GnssStream, OdometryStream, ReferenceStream
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.source_names import FOLDER
 
 Floats = NDArray[np.float64]
 EAST_M, NORTH_M = 388_500.0, 5_819_500.0
@@ -38,6 +39,7 @@ def clean_drive(
     wander = 1.5 * np.column_stack([np.sin(t[k] / 40.0 + seed), np.cos(t[k] / 33.0)])
     fixes = poses[k, :2] + wander + 0.3 * rng.standard_normal((len(k), 2))
     return Drive(
+        names=FOLDER,
         name="made",
         path=Path("made"),
         frame=EarthFrame("utm", 32633),

@@ -16,6 +16,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.plausibility.check import check_drive
 from polemap.drivelog.plausibility.pictures import check_pictures
+from polemap.drivelog.source_names import FOLDER
 from polemap.drivelog.streams import ReferenceStream
 from polemap.stereo.rig import Mounting, StereoRig
 
@@ -100,6 +101,7 @@ def clean() -> Drive:
     t = np.arange(-1.5, stamps[-1] + 1.5, 0.02)
     rate = 0.25 * np.sin(2 * np.pi * (t - 0.5 * PERIOD_S) / 2.2)
     return Drive(
+        names=FOLDER,
         name="pictures",
         path=Path("pictures"),
         frame=EarthFrame("local", name="test"),

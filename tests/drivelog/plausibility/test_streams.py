@@ -256,7 +256,7 @@ def test_poles_judge_an_odometry_that_nothing_else_does(clean: Drive) -> None:
     alone = replace(clean, gnss=None, reference=None)
     assert check_drive(alone) == []
     turned = found(_rate(-1.0)(alone), "pole_turn", "odometry.csv")
-    assert "y_m" in turned.remedy
+    assert "y of poles.csv" in turned.remedy
     assert found(_speed(3.6)(alone), "pole_speed", "odometry.csv").severity == "error"
 
 
