@@ -52,7 +52,7 @@ def command(
     ] = None,
     wrong_most: Annotated[
         float,
-        typer.Option("--wrong-most", min=1e-9, max=0.1, help="Probability of a wrong claim."),
+        typer.Option("--wrong-most", min=1e-9, max=0.1, help="Share of claims that may be wrong."),
     ] = WRONG_MOST,
     lap: Annotated[str | None, typer.Option("--lap", help="A row of laps.csv.")] = None,
     workers: Annotated[
@@ -129,7 +129,7 @@ def _record(found: Found, index: PatternIndex) -> dict[str, Any]:
         "runner_up": None, "stamp_s": None, "frame": index.frame.to_dict(),
     }  # fmt: skip
     if search is None or not len(search.poses):
-        return record | {"wrong": 1.0, "poles": 0, "matched": 0}
+        return record | {"wrong": 1.0, "wrong_at_most": 1.0, "poles": 0, "matched": 0}
     if found.claimed:
         record |= _pose(search.poses[0]) | {
             "stamp_s": found.stamp_s,
@@ -139,7 +139,8 @@ def _record(found: Found, index: PatternIndex) -> dict[str, Any]:
         less = float(search.log_evidence[0] - search.log_evidence[1])
         record["runner_up"] = _pose(search.poses[1]) | {"log_evidence_less": less}
     return record | {
-        "wrong": search.wrong, "poles": search.poles, "matched": int(search.matched[0])
+        "wrong": search.wrong, "wrong_at_most": search.wrong_at_most,
+        "poles": search.poles, "matched": int(search.matched[0]),
     }  # fmt: skip
 
 
@@ -159,8 +160,9 @@ def _told(found: Found, index: PatternIndex, wrong_most: float) -> str:
     rivals = _rivals(search)
     if not found.claimed:
         return (
-            f"no place can be claimed after {way}: the best, {place}, would be wrong with "
-            f"probability {search.wrong:.2g}, {wrong_most:g} is accepted; {poles}; {rivals}"
+            f"no place can be claimed after {way}: the best, {place}, is wrong with probability "
+            f"{search.wrong:.2g}, by a cautious bound {search.wrong_at_most:.2g}, of which "
+            f"{wrong_most:g} is accepted; {poles}; {rivals}"
         )
     sd_m = np.sqrt(np.linalg.eigvalsh(search.covariance[0, :2, :2])[-1])
     return (

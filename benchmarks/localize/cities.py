@@ -88,13 +88,19 @@ class City:
 
 
 def make_city(
-    poles: int, seed: int, *, avenues: float = _AVENUES, planned: float = _PLANNED
+    poles: int,
+    seed: int,
+    *,
+    avenues: float = _AVENUES,
+    planned: float = _PLANNED,
+    car_parks: float = _CAR_PARKS,
 ) -> City:
     """A city of about so many poles (within some percent); the same seed, the same city.
 
     Args:
         avenues: share of stretches of streets that are lined by trees at equal distances.
         planned: share of quarters whose streets all repeat one pattern.
+        car_parks: share of blocks that are car parks with lamps in a grid.
     """
     rng = np.random.default_rng([seed, poles])
     side = max(2, round(np.sqrt(poles / (2.0 * _POLES_PER_EDGE))) + 1)
@@ -112,7 +118,7 @@ def make_city(
         ),
         _streets(nodes[:-1], nodes[1:], column[:-1], row[:-1], node_planned.T, avenues, rng),
         _signals(nodes.reshape(-1, 2), rng),
-        *_blocks(nodes, rng),
+        *_blocks(nodes, car_parks, rng),
     ]
     points = np.concatenate(parts)
     width = rng.uniform(*_WIDTHS_M, len(points))
@@ -190,7 +196,7 @@ def _signals(nodes: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(points[rng.random((len(nodes), 4)) < _SIGNALS])
 
 
-def _blocks(nodes: Floats, rng: np.random.Generator) -> list[Floats]:
+def _blocks(nodes: Floats, car_parks: float, rng: np.random.Generator) -> list[Floats]:
     """Trees of parks, and lamps of car parks, inside blocks."""
     south_west = np.maximum(nodes[:-1, :-1], np.stack(
         [nodes[1:, :-1, 0], nodes[:-1, 1:, 1]], axis=-1)) + _INSIDE_M  # fmt: skip
@@ -203,7 +209,7 @@ def _blocks(nodes: Floats, rng: np.random.Generator) -> list[Floats]:
     count = rng.poisson(_TREES_PER_M2 * np.prod(size[park], axis=1))
     block = np.repeat(park, count)
     trees = low[block] + size[block] * rng.random((len(block), 2))
-    parking = np.flatnonzero((what >= _PARKS) & (what < _PARKS + _CAR_PARKS))
+    parking = np.flatnonzero((what >= _PARKS) & (what < _PARKS + car_parks))
     columns, rows = (np.floor(size[parking] / _PARKING_M).astype(np.int64) + 1).T
     block = np.repeat(np.arange(len(parking)), columns * rows)
     number = np.arange(len(block)) - np.repeat(

@@ -108,7 +108,7 @@ def find_along(
     """Drive on from a stamp until the place is known, or the drive ends; see `searches_along`.
 
     Args:
-        wrong_most: probability of a wrong claim that is accepted.
+        wrong_most: bound on the probability of a wrong claim that is accepted.
     """
     found = Found(None, False, np.nan, 0.0, 0.0, 0)
     made = searches_along(
@@ -117,7 +117,7 @@ def find_along(
     )  # fmt: skip
     for number, one in enumerate(made, start=1):
         search = one.search if one.search is not None else found.search
-        claimed = one.search is not None and one.search.wrong <= wrong_most
+        claimed = one.search is not None and one.search.wrong_at_most <= wrong_most
         found = Found(search, claimed, one.stamp_s, one.after_m, one.after_s, number)
         if claimed:
             break

@@ -133,7 +133,7 @@ class PlaceClaims:
             self._patterns.give_up()
             self._finders = self._claim = None
             return
-        if search is None or search.wrong > WRONG_MOST:
+        if search is None or search.wrong_at_most > WRONG_MOST:
             return
         pose, covariance = search.poses[0], search.covariance[0]
         if self._index_frame != self._frame:

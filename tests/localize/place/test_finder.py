@@ -48,7 +48,8 @@ def test_of_two_places_that_are_alike_none_is_claimed() -> None:
     assert found.search is not None
     apart = found.search.poses[1, :2] - found.search.poses[0, :2]
     np.testing.assert_allclose(np.abs(apart), (3000.0, 500.0), atol=0.5)
-    assert found.search.wrong == pytest.approx(0.5, abs=0.1)
+    assert found.search.wrong_at_most == pytest.approx(0.5, abs=0.1)
+    assert 0.4 < found.search.wrong < 0.95
 
 
 def test_a_search_may_begin_anywhere() -> None:
@@ -113,13 +114,17 @@ def test_the_probability_of_a_wrong_place_grows_with_what_others_explain() -> No
         np.zeros((2, 3)), np.array([40.0, 0.0]), np.zeros((2, 3, 3)), np.array([9, 3]),
         np.zeros((2, 1), np.int64), local, -10.0,
     )  # fmt: skip
-    alone = search.wrong
-    close = replace(search, log_evidence=np.array([40.0, 39.0])).wrong
-    regular = replace(search, by_chance=38.0).wrong
-    poor = replace(search, log_evidence=np.array([2.0, -30.0])).wrong
-    assert alone < 1e-4
-    assert min(close, regular, poor) > 0.1
-    assert replace(search, poses=np.empty((0, 3))).wrong == 1.0
+    close = replace(search, log_evidence=np.array([40.0, 39.0]))
+    regular = replace(search, by_chance=38.0)
+    poor = replace(search, log_evidence=np.array([2.0, -30.0]))
+    assert search.wrong < 2e-4
+    assert min(close.wrong, poor.wrong_at_most) > 0.1
+    assert search.wrong_at_most < 1e-4
+    assert min(one.wrong_at_most for one in (close, regular, poor)) > 0.1
+    nowhere = replace(search, log_evidence=np.array([-14.0, -40.0]))
+    assert nowhere.wrong > 0.5
+    none = replace(search, poses=np.empty((0, 3)))
+    assert (none.wrong, none.wrong_at_most) == (1.0, 1.0)
 
 
 def test_distinct_places_are_kept_in_their_order() -> None:

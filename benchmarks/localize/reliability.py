@@ -1,0 +1,132 @@
+"""Whether the stated probability of a wrong place comes true, where cities repeat themselves.
+
+    python -m benchmarks.localize.reliability [--poles 60000] [--starts 100] [--first 10000]
+        [--seed 11] [--cities 2] [--kinds avenues mirrored car_parks mixed] [--out ROWS.jsonl]
+
+Every search of every start up to the claim is one row: what it stated, and whether its first place
+was another than the car's (3 m). Half as many starts are made in another city of the same kind, and
+counted so that they are one in ten. Cities of seeds 3 and 4 and starts 100 to 159 served to fit
+`polemap.localize.place.finder`. Not timed, so `python -m benchmarks` leaves it out.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import command_line
+from benchmarks.localize.cities import City, make_city
+from benchmarks.localize.places import MAP_SD_M, drive_through
+from polemap.localize.place.along import searches_along
+from polemap.localize.place.finder import WRONG_MOST
+from polemap.map.pattern_index.build import build_index
+from polemap.map.pattern_index.index import PatternIndex
+
+KINDS: dict[str, dict[str, float]] = {
+    "avenues": {"avenues": 0.9, "planned": 0.0},
+    "mirrored": {"avenues": 0.1, "planned": 0.9},
+    "car_parks": {"avenues": 0.5, "planned": 0.2, "car_parks": 0.8},
+    "mixed": {},
+}
+ELSEWHERE = 0.1
+OTHER = 100  # is added to the seed of another city
+SAME_M = 3.0
+BOUNDS = (1.01, 0.9, 0.7, 0.5, 0.3, 0.1, 0.03, 0.01, 1e-3, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One search: city, start, what was stated, and what was true."""
+
+    kind: str
+    seed: int
+    start: int
+    mapped: bool
+    stated: float
+    bound: float
+    off_m: float
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the car is elsewhere."""
+        return not self.off_m <= SAME_M
+
+
+def rows_of(
+    kind: str, seed: int, index: PatternIndex, city: City, starts: range, mapped: bool
+) -> Iterator[Row]:
+    """All searches up to the claims, of a car in `city` with the index of its map or another."""
+    for start in starts:
+        scans, odometry, motion = drive_through(city, start)
+        for one in searches_along(scans, odometry, index):
+            search = one.search
+            if search is None or not len(search.poses):
+                continue
+            off = search.poses[0, :2] - motion.at(one.stamp_s)[0, :2]
+            off_m = float(np.hypot(*off)) if mapped else np.inf
+            yield Row(kind, seed, start, mapped, search.wrong, search.wrong_at_most, off_m)
+            if search.wrong_at_most <= WRONG_MOST:
+                break
+
+
+def table(name: str, rows: list[Row]) -> None:
+    """Print what was stated, and how often it was so."""
+    stated = np.array([row.stated for row in rows])
+    wrong = np.array([row.wrong for row in rows])
+    mapped = np.array([row.mapped for row in rows])
+    weight = np.where(mapped, 1.0, _weight(rows))
+    claimed = np.array([row.bound <= WRONG_MOST for row in rows])
+    print(f"{name}: {len(rows)} searches; {claimed.sum()} claims, {(claimed & wrong).sum()} wrong")
+    for low, high in zip(BOUNDS[1:], BOUNDS[:-1], strict=True):
+        some = (stated >= low) & (stated < high)
+        if some.any():
+            total = weight[some].sum()
+            share = float(np.average(wrong[some], weights=weight[some]))
+            print(
+                f"  {low:g} to {min(high, 1):g}: {np.count_nonzero(some & mapped)} and "
+                f"{np.count_nonzero(some & ~mapped)} elsewhere, stated "
+                f"{np.average(stated[some], weights=weight[some]):.2g}, wrong {share:.2g} "
+                f"+- {np.sqrt(max(share * (1.0 - share), 1.0 / total) / total):.1g}"
+            )
+    sys.stdout.flush()
+
+
+def _weight(rows: list[Row]) -> float:
+    """Of a start elsewhere, so that these are one in ten."""
+    here, there = (
+        len({(row.kind, row.seed, row.start) for row in rows if row.mapped is mapped})
+        for mapped in (True, False)
+    )
+    return here * ELSEWHERE / (1.0 - ELSEWHERE) / max(there, 1)
+
+
+def main() -> int:
+    """Make the starts and print the tables."""
+    asked = command_line(
+        __doc__, kinds=list(KINDS), poles=60_000, starts=100, first=10_000, seed=11, cities=2,
+        out=Path(""),
+    )  # fmt: skip
+    starts = range(asked.first, asked.first + asked.starts)
+    rows: list[Row] = []
+    for kind in asked.kinds:
+        for seed in range(asked.seed, asked.seed + asked.cities):
+            city = make_city(asked.poles, seed, **KINDS[kind])
+            other = make_city(asked.poles, seed + OTHER, **KINDS[kind])
+            index, _ = build_index(city.surveyed(MAP_SD_M, seed))
+            rows += rows_of(kind, seed, index, city, starts, True)
+            rows += rows_of(kind, seed, index, other, starts[::2], False)
+        table(kind, [row for row in rows if row.kind == kind])
+    table("all", rows)
+    if asked.out != Path(""):
+        text = "".join(json.dumps(asdict(row)) + "\n" for row in rows)
+        asked.out.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
