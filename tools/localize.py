@@ -39,6 +39,7 @@ from polemap.tools.option_types import (
     TopicsOption,
     WorkersOption,
 )
+from polemap.tools.pattern_index import index_for_start
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 
@@ -121,6 +122,7 @@ def command(
     require_plausible(opened.name, find(opened, pole_map), force=force)
     settings = settings.model_copy(update={"localize": for_car(settings.localize, opened.car)})
     detected = _detect(source, opened, pole_map, settings, processes, cache)
+    index_for_start(pole_map, map_file, opened, processes)
     job = Replay(source, map_file, pole_map, detected, settings, opened.frame)
     kept = None if cache is None or runs == 1 else cache / f"runs-{job.key(opened)}"
     with shared_runs(kept), atomic_folder(out, "run") as folder:

@@ -13,13 +13,12 @@ from polemap.build.city.io import clear
 from polemap.drivelog.atomic import check_files, check_folder, reserved
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.jobs import LocalWorkers
 from polemap.map.io import check_writable, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
 from polemap.tools.findings import require_plausible
 from polemap.tools.map_files import compare, convert_map
-from polemap.tools.map_job import MapJob
+from polemap.tools.map_job import MapJob, open_workers
 from polemap.tools.map_picture import (
     check_picture,
     draw_map,
@@ -109,6 +108,7 @@ def command(
         polemap map drives/park --lap map --out park.geojson
         polemap map drives/tuesday drives/friday --update campus.gpkg --align --out campus.gpkg
         polemap map drives/* --workers 8 --out city.parquet --index
+        polemap map --index city.parquet districts --workers 8
         polemap map drives/monday --out a.gpkg --picture a.png --localizability route.geojson
         polemap map drives/taxi --slam --poses poses --out campus.gpkg
         polemap map --diff campus_old.gpkg campus.gpkg --out changes.geojson
@@ -129,10 +129,13 @@ def command(
     if convert is not None:
         convert_map(convert, drives or [], out, seed, topics)
         if index and out is not None:
-            make_index(out, LocalWorkers(workers or 1))
+            _index([out], workers, scheduler)
         return
     if not drives:
         raise InputError("no drive is given: polemap map DRIVE... --out MAP")
+    if index and out is None:
+        _index(drives, workers, scheduler)
+        return
     if out is None:
         raise InputError("--out is missing: it names the map to write, such as campus.gpkg")
     check_writable(out)
@@ -146,6 +149,12 @@ def command(
             index, slam, poses, settings,
         )  # fmt: skip
         _make(job, picture, layer, force=force)
+
+
+def _index(maps: list[Path], workers: int | None, scheduler: str | None) -> None:
+    with open_workers(workers, scheduler) as pool:
+        for path in maps:
+            make_index(path, pool)
 
 
 def _read_old(update: Path | None) -> PoleMap | None:

@@ -64,9 +64,14 @@ class MapJob:
 
     def pool(self) -> AbstractContextManager[Workers]:
         """The workers of the scheduler, or processes of this machine."""
-        if self.scheduler is not None:
-            return open_cluster(self.scheduler)
-        return nullcontext(LocalWorkers(min(self.workers or 1, max(len(self.paths), 1))))
+        return open_workers(min(self.workers or 1, max(len(self.paths), 1)), self.scheduler)
+
+
+def open_workers(workers: int | None, scheduler: str | None) -> AbstractContextManager[Workers]:
+    """The workers of a scheduler, or processes of this machine."""
+    if scheduler is not None:
+        return open_cluster(scheduler)
+    return nullcontext(LocalWorkers(workers or 1))
 
 
 def _build(job: MapJob, drives: list[Drive]) -> BuiltMap:

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from polemap.build.city.work import on_workers
+from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.jobs import LocalWorkers, Workers
@@ -38,6 +39,15 @@ def opened_index(map_file: Path, frame: EarthFrame, workers: int) -> PatternInde
             say=lambda message: typer.echo(f"note: {message}", err=True),
             run=on_workers(LocalWorkers(workers), advance),
         )
+
+
+def index_for_start(
+    pole_map: PoleMap | CityMap | None, map_file: Path | None, drive: Drive, workers: int
+) -> None:
+    """Have the index of a city before a drive without any fix is to be found in it."""
+    fixes = drive.gnss is not None and len(drive.gnss) > 0
+    if isinstance(pole_map, CityMap) and map_file is not None and not fixes:
+        opened_index(map_file, drive.frame, workers)
 
 
 def make_index(map_file: Path, workers: Workers) -> None:

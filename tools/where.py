@@ -40,7 +40,7 @@ from polemap.tools.where_picture import draw_place
 def command(
     drive: Annotated[Path, typer.Argument(help="Drive of any known kind.")],
     map_file: Annotated[
-        Path, typer.Option("--map", help="Pole map: gpkg, geojson, parquet or csv.")
+        Path, typer.Option("--map", help="Pole map: gpkg, geojson, parquet, csv, or a folder.")
     ],
     at_s: Annotated[
         float, typer.Option("--at", min=0.0, help="Begin so many seconds into the drive.")
@@ -88,6 +88,9 @@ def command(
         raise InputError(
             f"drive {opened.name}: it has neither images nor {opened.names.poles} to be found by"
         )
+    lasts_s = float(opened.odometry.stamp_s[-1] - opened.odometry.stamp_s[0])
+    if at_s > lasts_s:
+        raise InputError(f"--at {at_s:g}: drive {opened.name} lasts {lasts_s:.1f} s; begin earlier")
     processes = workers or cpu_count() or 1
     index = opened_index(map_file, opened.frame, processes)
     total = len(opened.frame_stamps_s) if opened.has_frames else len(opened.scans)

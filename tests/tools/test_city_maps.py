@@ -23,6 +23,7 @@ from polemap.simulate.points.drive import PointDrive
 from polemap.tools import cli
 from polemap.tools.recording.opened import open_run
 from tests.city_maps import opened, write_city
+from tests.localize.place.town import drive_in, town
 from tests.localize.point_drives import street_drive
 
 FEW = ["--set", "localize.particles=60"]
@@ -148,3 +149,20 @@ def test_a_base_map_is_read_as_ever(place: Path) -> None:
     path = place / "maps" / "city.gpkg"
     assert isinstance(open_map(path), PoleMap)
     assert not isinstance(read_map(path), CityMap)
+
+
+def test_a_drive_without_any_fix_is_found_in_a_city_by_tiles(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither GNSS nor a start: the index is built before, and the poles tell where it is."""
+    monkeypatch.setattr("polemap.map.city.io.CITY_POLES", 1000)
+    path = write_city(town(0).surveyed(0.05, 0), tmp_path)["parquet"]
+    drive, motion = drive_in(0, 1)
+    write_drive(drive, tmp_path / "drive")
+    arguments = ["localize", tmp_path / "drive", "--map", path, "--out", tmp_path / "run"]
+    assert cli.run([*map(str, arguments), "--set", "localize.particles=50"]) == cli.GOOD
+    assert capsys.readouterr().err.count("it has no index of patterns; it is built now") == 1
+    rows = np.loadtxt(tmp_path / "run" / "pf.tum", comments="#")
+    truth = motion.at(rows[:, 0])[:, :2]
+    assert rows[0, 0] < 11.0
+    assert np.hypot(*(rows[8:, 1:3] - truth[8:]).T).max() < 1.0

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.writers.folder import write_drive
+from polemap.map.city.parquet.io import write_tiles
 from polemap.map.io import write_map
 from polemap.map.pattern_index.io import index_file, write_index
 from polemap.tools import cli
+from tests.city_maps import write_city
 from tests.localize.place.town import drive_in, town
 
 
@@ -67,16 +69,58 @@ def test_no_place_in_another_town(
     assert (told["found"], told["east_m"], told["stamp_s"]) == (False, None, None)
 
 
-def test_beyond_the_end_of_the_drive_nothing_is_seen(
+def test_near_the_end_of_the_drive_nothing_is_known_yet(
     places: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive, pole_map, _ = places
-    assert where(drive, "--map", pole_map, "--at", 1000, "--json") == cli.GOOD
+    assert where(drive, "--map", pole_map, "--at", 12.3, "--json") == cli.GOOD
     told = json.loads(capsys.readouterr().out)
     assert (told["found"], told["poles"], told["runner_up"]) == (False, 0, None)
-    arguments = [drive, "--map", pole_map, "--at", 1000, "--picture", tmp_path / "a.png"]
+    arguments = [drive, "--map", pole_map, "--at", 12.3, "--picture", tmp_path / "a.png"]
     assert where(*arguments) == cli.USER_ERROR
     assert "no place to draw" in capsys.readouterr().err
+
+
+def test_beyond_the_end_of_the_drive_there_is_nothing_to_begin_at(
+    places: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, pole_map, _ = places
+    assert where(drive, "--map", pole_map, "--at", 1000) == cli.USER_ERROR
+    said = capsys.readouterr().err
+    assert "--at 1000: drive points lasts 12.5 s; begin earlier" in said
+    assert said.count("\n") == 1
+
+
+def test_a_folder_of_maps_is_indexed_and_searched(
+    places: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two districts, each a file; one is mapped anew, and the index knows."""
+    drive, _, _ = places
+    whole = town(0).surveyed(0.05, 0)
+    south = whole.points_m[:, 1] < np.median(whole.points_m[:, 1])
+    folder = tmp_path / "districts"
+    for name, rows in (("south", south), ("north", ~south)):
+        write_city(whole.rows(rows), tmp_path / name)
+        folder.mkdir(exist_ok=True)
+        (tmp_path / name / "city.parquet").rename(folder / f"{name}.parquet")
+    assert cli.run(["map", "--index", str(folder), "--workers", "2"]) == cli.GOOD
+    assert f"triangles of {len(whole)} poles" in capsys.readouterr().out
+    assert index_file(folder) == tmp_path / "districts.patterns"
+    assert where(drive, "--map", folder, "--json") == cli.GOOD
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert (told["found"], said.err) == (True, "")
+    truth = drive_in(0, 1)[1].at(told["stamp_s"])[0]
+    assert np.hypot(told["east_m"] - truth[0], told["north_m"] - truth[1]) < 0.5
+    write_tiles(whole.rows(south).rows(np.arange(10, south.sum())), folder / "south.parquet", 64)
+    assert where(drive, "--map", folder, "--at", 12) == cli.GOOD
+    assert "is of another map, or of another version; it is built now" in capsys.readouterr().err
+    (folder / "north.parquet").unlink()
+    assert where(drive, "--map", folder, "--at", 12) == cli.GOOD
+    assert "is of another map" in capsys.readouterr().err
+    (folder / "south.parquet").unlink()
+    assert where(drive, "--map", folder) == cli.USER_ERROR
+    assert "a folder of maps holds .gpkg or .parquet files" in capsys.readouterr().err
 
 
 def test_a_damaged_index_is_told_and_built_anew(
