@@ -8,6 +8,7 @@ kept and it is read again when it is needed.
 from __future__ import annotations
 
 import bz2
+import io
 import lzma
 import os
 import zlib
@@ -121,6 +122,21 @@ class Container(Protocol):
             InputError: the file has changed since.
         """
         ...
+
+
+class SizedFile(io.BufferedReader):
+    """A file that never makes room for more than it still holds, whatever length is asked for.
+
+    Libraries ask for as many bytes as a record says; a damaged one says any number.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._size = os.fstat(self.fileno()).st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 def read_at(path: Path, offset: int, size: int) -> bytes:

@@ -16,6 +16,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers import folder
 from polemap.drivelog.readers.bags import mapping as m
+from polemap.drivelog.readers.bags.container import SizedFile
 from polemap.drivelog.readers.drive_yaml import read_drive_yaml
 from polemap.drivelog.readers.poles import stated_view
 from polemap.extras import need
@@ -54,7 +55,7 @@ def attached_files(path: Path) -> dict[str, bytes]:
         return {}
     reader: Any = need("mcap.reader")
     records: Any = need("mcap.exceptions")
-    with path.open("rb") as file:
+    with SizedFile(path) as file:
         try:
             index = reader.make_reader(file).get_summary()
             found = [] if index is None else index.attachment_indexes

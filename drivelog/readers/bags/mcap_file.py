@@ -19,6 +19,7 @@ from polemap.drivelog.readers.bags.container import (
     WHOLE,
     Channel,
     Message,
+    SizedFile,
     Walk,
     cached_chunk,
     changed_ns,
@@ -150,7 +151,7 @@ class _Walker:
         if not self._summary_read:
             self._summary_read = True
             reader: Any = need("mcap.reader")
-            with self._source.path.open("rb") as file:
+            with SizedFile(self._source.path) as file:
                 try:
                     summary = reader.make_reader(file).get_summary()
                 except (need("mcap.exceptions").McapError, ValueError, struct.error, OSError):

@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import struct
 import sys
+import tracemalloc
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -327,3 +328,18 @@ def test_a_record_that_is_shorter_than_its_kind_describes_no_drive(tmp_path: Pat
     file = tmp_path / "short.mcap"
     file.write_bytes(magic + header + short_index + footer + magic)
     assert attached_files(file) == {}
+
+
+@pytest.mark.parametrize("length", [1 << 31, 1 << 40, (1 << 63) - 1, (1 << 64) - 1])
+def test_a_length_beyond_the_file_asks_for_no_memory(length: int, tmp_path: Path) -> None:
+    magic = b"\x89MCAP0\r\n"
+    header = struct.pack("<BQII", 0x01, 8, 0, 0)
+    claimed = struct.pack("<BQ", 0x0A, length)  # an index that says it goes on and on
+    footer = struct.pack("<BQQQI", 0x02, 20, len(magic + header), 0, 0)
+    file = tmp_path / "long.mcap"
+    file.write_bytes(magic + header + claimed + footer + magic)
+    tracemalloc.start()
+    assert attached_files(file) == {}
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 24
