@@ -104,6 +104,12 @@ class EstimatorConfig(BaseModel):
         le=10.0,
         description="Standard deviation of the camera's lateral offset, metres.",
     )
+    curvature_sd_per_m: float = Field(
+        0.0005,
+        gt=0.0,
+        le=0.1,
+        description="Standard deviation of the camera's road curvature, 1/m; where a log has it.",
+    )
     course_sd_rad: float = Field(
         0.01, gt=0.0, le=1.0, description="Standard deviation of the GPS course, radians."
     )

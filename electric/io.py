@@ -10,7 +10,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import ConfigError, InputError
-from polemap.electric.signals import INPUT_COLUMNS, REFERENCE_COLUMNS, SignalLog
+from polemap.electric.signals import (
+    CAMERA_SPREAD_COLUMNS,
+    INPUT_COLUMNS,
+    REFERENCE_COLUMNS,
+    SignalLog,
+)
 from polemap.errors import PolemapError
 from polemap.extras import need
 from polemap.parsing.csv_text import check_csv
@@ -21,7 +26,7 @@ from polemap.parsing.yaml_text import read_yaml
 from polemap.vehicle.errors import VehicleError
 
 Floats = NDArray[np.float64]
-KNOWN = ("stamp_s", *INPUT_COLUMNS, *REFERENCE_COLUMNS)
+KNOWN = ("stamp_s", *INPUT_COLUMNS, *CAMERA_SPREAD_COLUMNS, *REFERENCE_COLUMNS)
 
 
 def read_signal_log(path: Path, mapping: Path | None = None) -> tuple[SignalLog, list[str]]:

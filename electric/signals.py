@@ -31,11 +31,22 @@ INPUT_COLUMNS = (
     "yaw_moment_nm",
     "heading_rad",
     "lateral_offset_m",
+    "road_curvature_per_m",
     "course_rad",
     "speed_mps",
     "camera_arrival_s",
     "gnss_arrival_s",
 )
+CAMERA_SPREAD_COLUMNS = (
+    "heading_sd_rad",
+    "lateral_offset_sd_m",
+    "road_curvature_sd_per_m",
+    "corr_heading_offset",
+    "corr_heading_curvature",
+    "corr_offset_curvature",
+    "lane_width_m",
+)
+"""What `polemap lanes` states beside its values: no estimator's input, and no reference."""
 REFERENCE_COLUMNS = ("sideslip_rad", "vy_mps", "vx_reference_mps")
 LATE = {
     CAMERA: ("heading_rad", "lateral_offset_m", "camera_arrival_s"),
@@ -155,6 +166,7 @@ def play(
                 log.held("ax_mps2").tolist(),
                 log.held("ay_mps2").tolist(),
                 log.held("yaw_rate_radps").tolist(),
+                arrived(log, "road_curvature_per_m", "camera_arrival_s").tolist(),
                 strict=True,
             ),
         )
@@ -213,3 +225,20 @@ def _late_events(log: SignalLog) -> dict[int, list[tuple[float, str, tuple[float
                 (arrival if arrival >= stamp else stamp, kind, (float(a[row]), float(b[row])))
             )
     return events
+
+
+def arrived(log: SignalLog, name: str, arrival_name: str) -> Floats:
+    """A late column `(n,)` held from when its values arrive; 0 before the first."""
+    result = np.zeros(len(log))
+    if not log.has(name):
+        return result
+    rows = np.flatnonzero(np.isfinite(log.columns[name]))
+    stamps = log.stamp_s
+    at = stamps[rows]
+    if arrival_name in log.columns:
+        arrivals = log.columns[arrival_name][rows]
+        at = np.where(arrivals >= at, arrivals, at)
+    order = np.argsort(at, kind="stable")
+    there = np.searchsorted(at[order], stamps + 1e-9, side="right")
+    values = np.concatenate([[0.0], log.columns[name][rows][order]])
+    return np.asarray(values[there])

@@ -27,6 +27,7 @@ from polemap.simulate.scenario import Scenario, load_scenario
 from polemap.simulate.studio import Plan, make_plan, shots
 from polemap.simulate.truth import (
     carry_truth,
+    write_lane_truth,
     write_truth,
     write_truth_pictures,
 )
@@ -64,7 +65,8 @@ def simulate_drive(
         out: the folder that appears.
         laps: rounds of a closed route.
         objects: also write the true poles (`objects.geojson`), all standing things
-            (`standing.csv`), the true motion (`truth.csv`) and inertial signals (`signals.csv`).
+            (`standing.csv`), the true motion (`truth.csv`), inertial signals (`signals.csv`) and,
+            with pictures, what a perfect lane camera would see (`lane_truth.csv`).
         images: without them the drive has odometry, GNSS and reference only.
         scans: also write what a detector reports (`poles.csv`, `scans.csv`).
         advance: called with 1 after every stereo pair.
@@ -117,6 +119,8 @@ def simulate_drive(
         )
         if objects:
             write_truth(writer.folder, frame, world, plan.motion, plan.origin_m)
+            if images:
+                write_lane_truth(writer.folder, world, plan.motion, plan.frame_stamps_s)
     return Path(out)
 
 

@@ -30,6 +30,7 @@ CAR = Car(
     cg_to_rear_m=1.49,
     front_stiffness_nprad=49_000.0,
     rear_stiffness_nprad=59_000.0,
+    preview_m=10.0,
 )
 
 

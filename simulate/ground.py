@@ -175,6 +175,12 @@ def side_street(
     return join(parts)
 
 
+def marking_lines(spec: SectionSpec) -> list[float]:
+    """Where lines of markings run, metres left of the street's centre line."""
+    edge = [spec.road_half_width_m - 0.375] if spec.edge_line else []
+    return [*edge, *_lines(spec), *(-x for x in edge)]
+
+
 def _lines(spec: SectionSpec) -> list[float]:
     lanes = max(
         1, int((spec.road_half_width_m - spec.median_width_m / 2) / spec.lane_width_m + 0.05)

@@ -14,12 +14,14 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.map.io import write_map
 from polemap.map.pole_map import PoleMap
 from polemap.simulate.driver import Motion
+from polemap.simulate.dynamics import CAR
+from polemap.simulate.lane_truth import COLUMNS, lane_truth
 from polemap.simulate.traffic import MOVER_ID
 from polemap.simulate.world import World
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
-TRUTH_FILES = ("objects.geojson", "standing.csv", "truth.csv", "signals.csv")
+TRUTH_FILES = ("objects.geojson", "standing.csv", "truth.csv", "signals.csv", "lane_truth.csv")
 TRUTH_PICTURES = ("disparity_left", "disparity_right", "objects")
 # the truth has no spread; a map needs one that can be inverted
 _TRUTH_SD_M = 0.001
@@ -91,6 +93,15 @@ def write_signals(folder: Path, motion: Motion) -> None:
     )[rows]  # fmt: skip
     header = "stamp_s,road_wheel_angle_rad,yaw_rate_radps,ax_mps2,ay_mps2,vx_mps,sideslip_rad"
     np.savetxt(folder / "signals.csv", table, fmt="%.7f", delimiter=",", header=header, comments="")
+
+
+def write_lane_truth(folder: Path, world: World, motion: Motion, stamps_s: Floats) -> None:
+    """Writes lane_truth.csv at the pictures' stamps, of the preview point of the drive's car."""
+    preview = CAR.cg_to_rear_m + CAR.preview_m
+    rows = lane_truth(world.route, world.scenario.section, motion, stamps_s, preview)
+    header = ",".join(COLUMNS)
+    lines = [",".join("" if v != v else f"{v:.6f}" for v in row) for row in rows.tolist()]
+    (folder / "lane_truth.csv").write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
 
 
 def to_disparity_png(disparity_px: NDArray[np.float32]) -> NDArray[np.uint16]:

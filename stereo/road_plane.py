@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan, cos, sin, tan
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.stereo.rig import StereoRig
 from polemap.vehicle.errors import VehicleError
 
 Floats = NDArray[np.float64]
@@ -57,6 +58,11 @@ class RoadCamera:
             pitch_rad,
         )
 
+    @property
+    def ahead_m(self) -> float:
+        """Road points are counted from the camera."""
+        return 0.0
+
     def road_to_pixel(self, points_m: Any) -> Floats:
         """Road points `(..., 2)`, x ahead of and y left of the camera, to `(row, column)` from 0.
 
@@ -79,6 +85,51 @@ class RoadCamera:
         x = np.where(below, self.height_m * (1.0 - rho * t) / np.where(below, rho + t, 1.0), np.nan)
         side = (2.0 * p[..., 1] / (self.width_px - 1) - 1.0) * tan(self.half_width_rad)
         return np.stack([x, -side * (self.height_m * s + x * c)], axis=-1)
+
+
+class RoadView(Protocol):
+    """A camera that knows where a point of the road stands in its picture."""
+
+    @property
+    def width_px(self) -> int: ...
+    @property
+    def height_px(self) -> int: ...
+    @property
+    def ahead_m(self) -> float:
+        """Where the camera stands on the x axis of its road points."""
+        ...
+
+    def road_to_pixel(self, points_m: Any) -> Floats:
+        """Road points `(..., 2)` to `(row, column)` from 0; NaN where there is no picture."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class MountedCamera:
+    """The left camera of a calibrated rig; road points stand in the vehicle frame, z = 0.
+
+    Unlike `RoadCamera` it has a principal point anywhere, and all three angles of mounting.
+    """
+
+    rig: StereoRig
+
+    @property
+    def width_px(self) -> int:
+        return self.rig.width_px
+
+    @property
+    def height_px(self) -> int:
+        return self.rig.height_px
+
+    @property
+    def ahead_m(self) -> float:
+        return self.rig.vehicle_from_camera.x_m
+
+    def road_to_pixel(self, points_m: Any) -> Floats:
+        """Points `(..., 2)`, x ahead of and y left of the rear axle, to `(row, column)`."""
+        p = np.asarray(points_m, dtype=np.float64)
+        ground = np.concatenate([p, np.zeros((*p.shape[:-1], 1))], axis=-1)
+        return np.asarray(self.rig.project(ground)[..., 1::-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,15 +158,17 @@ class RoadGrid:
 class BirdsEye:
     """Warps images of one camera to one grid; where to look is computed once."""
 
-    def __init__(self, camera: RoadCamera, grid: RoadGrid) -> None:
+    def __init__(self, camera: RoadView, grid: RoadGrid) -> None:
         self.camera, self.grid = camera, grid
         rows, columns = np.indices(grid.shape)
         pixels = camera.road_to_pixel(grid.to_road(rows, columns)).astype(np.float32)
+        pixels = np.where(np.isfinite(pixels), pixels, np.float32(-1.0))
         self._row, self._column = (
             np.ascontiguousarray(pixels[..., 0]),
             np.ascontiguousarray(pixels[..., 1]),
         )
         self._maps = cv2.convertMaps(self._column, self._row, cv2.CV_16SC2)
+        # what lies behind the camera has no pixel: a corner of the picture that is masked out
         inside = (self._row >= 0) & (self._row <= camera.height_px - 1)
         self.seen = inside & (self._column >= 0) & (self._column <= camera.width_px - 1)
 

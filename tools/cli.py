@@ -35,6 +35,7 @@ VERBS = {
     "localize": ("localize", "Replay a drive against a map."),
     "where": ("where", "Find a car anywhere in a map by the poles along its way."),
     "view": ("view", "Show a run in a viewer, or write the recording that viewers open."),
+    "lanes": ("lanes", "Find the lane in the pictures of a drive, as a signal log."),
     "report": ("report.command", "Report repeatability and accuracy of runs."),
     "estimate": ("estimate", "Run a side-slip or velocity estimator on a signal log."),
     "study": ("study", "Rerun a source paper's simulation beside its claims."),

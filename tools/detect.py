@@ -16,7 +16,7 @@ from rich.table import Table
 from polemap.detect.models.io import read_classifier
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.drive import Drive
-from polemap.drivelog.errors import ConfigError, InputError
+from polemap.drivelog.errors import InputError
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
 from polemap.map.pole_map import PoleMap
@@ -31,6 +31,7 @@ from polemap.tools.option_types import (
     OdometryOption,
     SetOption,
     TopicsOption,
+    frame_range,
 )
 from polemap.tools.plausible import find
 from polemap.tools.progress import progress
@@ -83,7 +84,7 @@ def command(
     opened = Source(str(drive), None, mapping, odometry).open(seed)
     if opened.rig is None or not opened.has_frames:
         raise InputError(f"drive {opened.name}: it has no stereo images to detect poles in")
-    wanted = _range(frames, len(opened.frame_stamps_s))
+    wanted = frame_range(frames, len(opened.frame_stamps_s))
     known = read_map(evaluate, opened.frame) if evaluate else None
     lacking = read_map(unmapped, opened.frame).points_m if unmapped else None
     if evaluate and opened.reference is None:
@@ -134,20 +135,6 @@ class _Counted:
             + (f" and {frames} as pictures" if pictures else "; --pictures shows what was seen"),
             f"next: polemap map {drive} --out poles.gpkg",
         ]
-
-
-def _range(text: str, count: int) -> range:
-    first, colon, last = text.partition(":")
-    try:
-        start = int(first) if first else 0
-        stop = int(last) if last else count
-    except ValueError as error:
-        raise ConfigError(f"--frames {text}: expected A:B, such as 0:50") from error
-    if not colon or start < 0 or not start < stop:
-        raise ConfigError(f"--frames {text}: expected A:B with 0 <= A < B")
-    if start >= count:
-        raise ConfigError(f"--frames {text}: the drive has {count} frames")
-    return range(start, min(stop, count))
 
 
 def _detect_frames(

@@ -23,12 +23,14 @@ from polemap.electric.estimators.base import GPS
 from polemap.electric.estimators.registry import known_estimators, make_estimator
 from polemap.electric.gaps import find_gaps, play_parts, settled
 from polemap.electric.io import gps_from_truth, read_signal_log
+from polemap.electric.lanes import camera_settings
 from polemap.electric.plausibility import check_log
 from polemap.electric.signals import Played, SignalLog
 from polemap.set_option import parse_set_option
 from polemap.settings import first_problem, read_tree
 from polemap.tools.findings import require_plausible
 from polemap.tools.identification import identify_car
+from polemap.tools.lanes import drive_signals
 from polemap.tools.option_types import ForceOption
 from polemap.tools.progress import progress
 from polemap.vehicle.io import car_names, load_car
@@ -42,7 +44,8 @@ SETTLED_S = 2.0
 
 def command(
     log: Annotated[
-        Path | None, typer.Argument(help="CSV, Parquet or MCAP log, or a comma2k19 folder.")
+        Path | None,
+        typer.Argument(help="CSV, Parquet or MCAP log, a drive with signals.csv, or comma2k19."),
     ] = None,
     estimator: Annotated[str | None, typer.Option("--estimator", help="See --list.")] = None,
     vehicle: Annotated[
@@ -95,6 +98,7 @@ def command(
             --out estimate.csv
         polemap estimate comma2k19/ --estimator two_layer --vehicle rav4 --out estimate.csv \\
             --set gps_slots=3 --set heading_walk_rad=0.01
+        polemap estimate DRIVE --estimator clones --vehicle passat --out estimate.csv
         polemap estimate log.csv --identify 150:250 --vehicle 250lm_published --out 250lm.yaml
         polemap estimate a.csv --identify 0:60,90:120 --also b.csv --vehicle passat --out mine.yaml
     """
@@ -129,7 +133,7 @@ def command(
         raise ConfigError(f"--estimator {estimator}: choose one of {', '.join(known_estimators())}")
     clock = stretched_clock(signals)
     heard = signals if clock is None else clock.real_time(signals)
-    config = load_estimator_config(config_file, set_values, heard)
+    config = load_estimator_config(config_file, set_values, heard, camera_settings(heard))
     if derive_gps:
         heard = _with_gps(heard, config, seed)
         # the antenna of a GPS that is made from the reference sits where the reference does
@@ -165,6 +169,8 @@ def _read(log: Path, mapping: Path | None, car: Car) -> tuple[SignalLog, float]:
             "late\n"
         )
         return segment.log, segment.mount_until_s
+    if log.is_dir():
+        return drive_signals(log, car), float("-inf")
     signals, ignored = read_signal_log(log, mapping)
     if ignored:
         sys.stderr.write(f"note: ignored columns {', '.join(ignored)}\n")
@@ -198,14 +204,18 @@ def run_estimator(
 
 
 def load_estimator_config(
-    config_file: Path | None, set_values: list[str] | None, signals: SignalLog
+    config_file: Path | None,
+    set_values: list[str] | None,
+    signals: SignalLog,
+    known: dict[str, float] | None = None,
 ) -> EstimatorConfig:
-    """Settings: the defaults, the log's own step, then the file, then `--set`.
+    """Settings: the defaults, the log's own step, what is `known`, then the file, then `--set`.
 
     Raises:
         ConfigError: an unknown key or a value out of range.
     """
     tree: dict[str, object] = {"step_s": round(float(np.median(np.diff(signals.stamp_s))), 6)}
+    tree.update(known or {})
     if config_file is not None:
         tree.update(read_tree(config_file))
     tree.update(parse_set_option(item, "gyro_sd_radps=0.01") for item in set_values or [])

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from polemap.drivelog.errors import ConfigError
+
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="YAML file that overrides defaults.")
 ]
@@ -37,3 +39,22 @@ LapOption = Annotated[
 WorkersOption = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes; default: cores.")
 ]
+
+
+def frame_range(text: str, count: int) -> range:
+    """Rows `A:B` of `--frames` of a drive with `count` frames.
+
+    Raises:
+        ConfigError: not two numbers, or none of the drive's rows.
+    """
+    first, colon, last = text.partition(":")
+    try:
+        start = int(first) if first else 0
+        stop = int(last) if last else count
+    except ValueError as error:
+        raise ConfigError(f"--frames {text}: expected A:B, such as 0:50") from error
+    if not colon or start < 0 or not start < stop:
+        raise ConfigError(f"--frames {text}: expected A:B with 0 <= A < B")
+    if start >= count:
+        raise ConfigError(f"--frames {text}: the drive has {count} frames")
+    return range(start, min(stop, count))

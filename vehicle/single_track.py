@@ -87,6 +87,17 @@ def combined_vision(car: Car, speed_mps: float) -> tuple[Floats, Floats]:
     return a, b
 
 
+def bend_of_lane(speed_mps: float, curvature_per_m: float, period_s: float) -> tuple[float, float]:
+    """What a bent lane adds to heading (rad) and offset (m) of `combined_vision` over a step.
+
+    psi' = gamma - V kappa, kappa the curvature at the preview point, to the left positive; y_l'
+    stays as it is: both are counted at the preview point, which moves along the lane's tangent
+    there. Exact for a curvature that holds over the step. The papers' model has straight lanes.
+    """
+    turned = speed_mps * curvature_per_m * period_s
+    return -turned, -0.5 * speed_mps * period_s * turned
+
+
 def gps_course(car: Car, speed_mps: float) -> tuple[Floats, Floats]:
     """Vehicle and heading: A `(3, 3)`, B `(3, 2)`; state `[beta, gamma, psi]`, course psi + beta.
 

@@ -32,6 +32,7 @@ class Inputs(NamedTuple):
     ax_mps2: float = 0.0
     ay_mps2: float = 0.0
     yaw_rate_radps: float = 0.0
+    road_curvature_per_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,12 @@ from polemap.electric.estimators.base import pair as two_numbers
 from polemap.electric.estimators.vision import ALL_ROWS, initial_covariance, vision_density
 from polemap.vehicle.kalman import symmetric
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS, combined_vision, schedule
+from polemap.vehicle.single_track import (
+    KINEMATIC_SPEED_MPS,
+    bend_of_lane,
+    combined_vision,
+    schedule,
+)
 
 Floats = NDArray[np.float64]
 ROWS, GAIN_ROWS, LOWEST_MPS, HIGHEST_MPS = 2048, 96, KINEMATIC_SPEED_MPS, 80.0
@@ -135,6 +140,10 @@ class CompensatedKalman:
         # heading and offset are corrected by the propagated residuals e2, e3
         self._y += g30 * b + g31 * r + g32 * h + d3 * delta + n3 * moment + k31 * e2 + k32 * e3
         self._h = h + g20 * b + g21 * r + d2 * delta + n2 * moment + k21 * e2 + k22 * e3
+        if inputs.road_curvature_per_m:
+            turned, moved = bend_of_lane(speed, inputs.road_curvature_per_m, elapsed)
+            self._h += turned
+            self._y += moved
         self._b = g00 * b + g01 * r + d0 * delta + n0 * moment + k01 * e2 + k02 * e3
         self._residual = g10 * b + g11 * r + d1 * delta + n1 * moment
         self._r = self._residual + k11 * e2 + k12 * e3

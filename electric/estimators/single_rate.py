@@ -10,7 +10,7 @@ from polemap.electric.estimators.base import CAMERA, YAW_RATE, Estimate, Inputs,
 from polemap.electric.estimators.vision import VisionFilter, initial_covariance, vision_density
 from polemap.vehicle.kalman import innovate, joseph_update, symmetric
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.single_track import combined_vision, schedule
+from polemap.vehicle.single_track import bend_of_lane, combined_vision, schedule
 
 Floats = NDArray[np.float64]
 
@@ -64,6 +64,9 @@ class SingleRateKalman(VisionFilter):
             wide[4, 2] = wide[5, 3] = 1.0
             self._x = wide @ self._x
             self._x[:4] += h @ u
+            self._x[2:4] += bend_of_lane(
+                self._held.speed_mps, self._held.road_curvature_per_m, elapsed
+            )
             self._p = wide @ self._p @ wide.T
             self._p[:4, :4] += q
             self._update()

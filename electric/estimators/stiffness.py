@@ -17,11 +17,11 @@ from polemap.electric.estimators.base import (
     Value,
     pair,
 )
-from polemap.electric.estimators.vision import initial_covariance, vision_density
+from polemap.electric.estimators.vision import CURVATURE_ERROR_S, initial_covariance, vision_density
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.pose import wrap_angle
-from polemap.vehicle.single_track import combined_vision
+from polemap.vehicle.single_track import bend_of_lane, combined_vision
 
 Floats = NDArray[np.float64]
 
@@ -91,6 +91,10 @@ class StiffnessKalman:
         moved = t * slope + half * (a @ slope) + third * (square[:4, :4] @ slope)
         mean = np.append(x + moved, kappa)
         q = t * self._density
+        if inputs.road_curvature_per_m:
+            mean[2:4] += bend_of_lane(inputs.speed_mps, inputs.road_curvature_per_m, t)
+            wrong = inputs.speed_mps * self._config.curvature_sd_per_m
+            q[2, 2] += wrong * wrong * CURVATURE_ERROR_S * t
         f.predict(g, mean - g @ f.x[:5], q)
         f.x[4] = min(max(f.x.item(4), 0.1), 5.0)
 

@@ -14,13 +14,16 @@ from polemap.electric.config import (
 )
 from polemap.electric.estimators.base import Clock, Estimate, Inputs, OutputBridge
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.single_track import combined_vision, schedule
+from polemap.vehicle.single_track import bend_of_lane, combined_vision, schedule
 
 Floats = NDArray[np.float64]
 SEEN = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Rows of heading and lateral offset in `[beta, gamma, psi, y_l]`."""
 ALL_ROWS = np.array([[0.0, 1.0, 0.0, 0.0], *SEEN])
 """Rows of yaw rate, heading and lateral offset."""
+
+CURVATURE_ERROR_S = 0.5
+"""How long an error of the camera's road curvature lasts."""
 
 
 def vision_density(config: EstimatorConfig) -> tuple[float, ...]:
@@ -63,6 +66,12 @@ class VisionFilter:
         driven = h[:, 0] * inputs.road_wheel_angle_rad
         if inputs.yaw_moment_nm:
             driven += h[:, 1] * inputs.yaw_moment_nm
+        curvature = inputs.road_curvature_per_m
+        if curvature:
+            driven[2:] += bend_of_lane(inputs.speed_mps, curvature, elapsed)
+            # its error lasts as a bank or a rolling body does, as white noise of that length
+            wrong = inputs.speed_mps * self._config.curvature_sd_per_m
+            q[2, 2] += wrong * wrong * CURVATURE_ERROR_S * elapsed
         return g, driven, q
 
     def _drop(self, reason: str) -> None:
