@@ -6,7 +6,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp)
 
-.PHONY: setup demo test check lint bench campaign docs site lock clean
+.PHONY: setup demo test check lint bench city campaign docs site lock clean
 
 setup: .venv/.ready
 
@@ -33,6 +33,9 @@ check: lint test
 
 bench: setup
 	$(BIN)/python -m benchmarks
+
+city: setup
+	$(BIN)/python -m benchmarks.localize.city_growth --poles 1000 10000 100000 1000000
 
 campaign: setup
 	$(BIN)/python -m benchmarks.campaign

@@ -25,10 +25,14 @@ from polemap.parsing.text import decoded
 
 def to_table(pole_map: PoleMap) -> pa.Table:
     """The map as a table whose metadata names the geometry's reference system and our frame."""
-    frame = pole_map.frame
     columns = {name: pa.array(values) for name, values in to_columns(pole_map).items()}
     columns["geometry"] = wkb(pole_map.points_m)
-    table = pa.table(columns)
+    return pa.table(columns).replace_schema_metadata(metadata_of(pole_map))
+
+
+def metadata_of(pole_map: PoleMap) -> dict[str, str]:
+    """What a map's table says of its geometries, its frame and its doubtful poles."""
+    frame = pole_map.frame
     geo: dict[str, Any] = {
         "version": "1.1.0",
         "primary_column": "geometry",
@@ -46,7 +50,7 @@ def to_table(pole_map: PoleMap) -> pa.Table:
     ours: dict[str, Any] = {"format_version": 1, "frame": frame.to_dict()}
     if pole_map.doubtful is not None and len(pole_map.doubtful):
         ours["doubtful"] = geojson.to_document(pole_map.doubtful)
-    return table.replace_schema_metadata({"geo": json.dumps(geo), "polemap": json.dumps(ours)})
+    return {"geo": json.dumps(geo), "polemap": json.dumps(ours)}
 
 
 def from_table(table: pa.Table, frame: EarthFrame | None) -> PoleMap:

@@ -27,27 +27,40 @@ Floats = NDArray[np.float64]
 GEOMETRY = "geometry"
 
 
+_TILES_AT_ONCE = 64
+
+
 def write_tiles(pole_map: PoleMap, path: Path, tile_poles: int = TILE_POLES) -> None:
     """Write a map with a row group a tile; rows of a tile are neighbours."""
     parquet = need("pyarrow.parquet")
     from polemap.map.formats import geoparquet, geoparquet_points  # need pyarrow, too
 
-    packed = pole_map.rows(packed_order(pole_map.points_m, tile_poles))
-    table = geoparquet.to_table(packed)
-    boxes = boxes_of(packed.points_m, tile_poles)
+    order = packed_order(pole_map.points_m, tile_poles)
+    boxes = boxes_of(pole_map.points_m[order], tile_poles)
     city = StoredCity(
-        packed.frame,
-        MapStatistics.of(packed),
+        pole_map.frame,
+        MapStatistics.of(pole_map),
         {"tile_poles": tile_poles, "boxes": boxes.tolist()},
     )
-    metadata = {**table.schema.metadata, METADATA_KEY.encode(): city.to_text().encode()}
+    about = geoparquet.metadata_of(pole_map) | {METADATA_KEY: city.to_text()}
+    first = _table(pole_map, order[:tile_poles])
     # dictionaries of numbers that are all different only cost time, as does a strong compression;
     # the checksums find a tile that a disk has damaged; nobody asks for statistics of columns
-    parquet.write_table(
-        table.replace_schema_metadata(metadata), path, compression="snappy",
-        use_dictionary=geoparquet_points.text_columns(table), row_group_size=tile_poles,
+    with parquet.ParquetWriter(
+        path, first.schema.with_metadata(about), compression="snappy",
+        use_dictionary=geoparquet_points.text_columns(first),
         write_page_checksum=True, write_statistics=False,
-    )  # fmt: skip
+    ) as writer:  # fmt: skip
+        # some tiles at a time: beside the map itself writing takes hardly any memory
+        for start in range(0, max(len(order), 1), _TILES_AT_ONCE * tile_poles):
+            rows = order[start : start + _TILES_AT_ONCE * tile_poles]
+            writer.write_table(_table(pole_map, rows), row_group_size=tile_poles)
+
+
+def _table(pole_map: PoleMap, rows: NDArray[np.int64]) -> Any:
+    from polemap.map.formats import geoparquet
+
+    return geoparquet.to_table(pole_map.rows(rows)).replace_schema_metadata(None)
 
 
 class ParquetTiles:
