@@ -132,7 +132,8 @@ def draw(rows: list[dict[str, float]], path: Path) -> None:
     times, memory = figure.subplots(1, 2)
     poles = [row["poles"] for row in rows]
     curves: list[tuple[Any, str, str, float]] = [
-        (times, "index_s", "build the index", 1.0), (times, "search_p95_ms", "a search, 95 %", 1e-3),
+        (times, "index_s", "build the index", 1.0),
+        (times, "search_p95_ms", "a search, 95 %", 1e-3),
         (times, "search_ms", "a search, median", 1e-3), (times, "open_ms", "open the map", 1e-3),
         (times, "open_index_ms", "open the index", 1e-3),
         (memory, "index_mb", "building the index", 1.0), (memory, "peak_mb", "localizing", 1.0),

@@ -5,7 +5,8 @@ a whole (`matching`). A match is taken for a loop if it beats being elsewhere an
 within reach by fixed log odds. Loops of one round must also agree with each other: from the surest
 on, each is held against the covariance of all anchors after the loops before it (the joint
 compatibility test, on loops in the place of single features). What fails is not lost: all is
-matched anew in the next round, from the poses that the graph then has.
+matched anew in the next round, from the poses that the graph then has. Where places are known too
+badly to look for them, the index of patterns tells what looks alike (`recall`).
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from numpy.typing import NDArray
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import LOOP_MARGIN
 from polemap.build.slam.matching import Placement, corrected, place
+from polemap.build.slam.recall import Recall, mirrored
 from polemap.build.slam.submaps import Submap
 from polemap.vehicle.kalman import chi_square_quantile
-from polemap.vehicle.pose import relative, rotation, wrap_angle
+from polemap.vehicle.pose import compose, relative, rotation, wrap_angle
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -29,6 +31,9 @@ Whole = NDArray[np.int64]
 _OVERLAP_M = 40.0  # anchors farther apart share too few poles
 _SEARCH_SD_M = 12.0  # of a place that is less known, nothing is looked for yet
 _NEAREST = 2  # local maps of one visit that another is matched with
+_VISIT = 3  # local maps in a row that may show one place
+_SAME_M, _SAME_RAD = 4.0, 0.15  # places that are one
+_RECALLED_SD = np.array([1.0, 1.0, 0.05])  # of a place that patterns tell
 _PRIOR_GATE = chi_square_quantile(0.997, 3)
 _JOINT_GATE = chi_square_quantile(0.9999, 3)
 # what matching whole local maps leaves, metres and radians, and what their bending adds
@@ -110,6 +115,109 @@ def find_loops(
         candidates.append((_loop(first, second, a, b, predicted, best), predicted))
     kept = _agreeing([loop for loop, _ in candidates], anchors, covariance)
     return Found(tuple(kept), ambiguous, len(candidates) - len(kept), unreached)
+
+
+def recall_loops(
+    submaps: Sequence[Submap],
+    anchors: Floats,
+    covariance: Floats,
+    config: SlamConfig,
+    known: Collection[tuple[int, int]] = (),
+) -> Found:
+    """Loops among local maps of whose places too little is known to look for them, by patterns.
+
+    A loop must beat being elsewhere within all that the graph leaves open, every other place that
+    looks alike, and what the mirror image of the local map reaches by chance.
+    """
+    recall = Recall(submaps)
+    candidates: list[Loop] = []
+    ambiguous: list[int] = []
+    for second, submap in enumerate(submaps):
+        found = _placed_by_patterns(recall, submaps, second, submap, anchors, covariance)
+        if not found or found[0].log_odds < config.loop_log_odds:
+            continue
+        best = found[0]
+        mirror = mirrored(submap)
+        chance = _placed_by_patterns(recall, submaps, second, mirror, anchors, covariance)
+        here = _put(best, anchors)
+        rivals = [one.log_odds for one in found[1:] if not _same(_put(one, anchors), here)]
+        rival = max([0.0, *rivals, *(one.log_odds for one in chance)])
+        if best.log_odds - rival < LOOP_MARGIN:
+            ambiguous.append(second)
+        else:
+            candidates.append(best)
+    # where one of a row fits two places, the others may have missed one of them
+    open_ones = np.array(ambiguous, dtype=np.int64)
+    supported = [
+        one for one in candidates
+        if not (np.abs(open_ones - one.second) <= _VISIT).any()
+        and _supported(one, candidates, anchors)
+    ]  # fmt: skip
+    new = [
+        one for one in supported
+        if one.first < one.second - 1 and (one.first, one.second) not in known
+        and not np.intersect1d(submaps[one.first].landmark, submaps[one.second].landmark).size
+    ]  # fmt: skip
+    kept = _agreeing(new, anchors, covariance)
+    return Found(tuple(kept), len(ambiguous), len(new) - len(kept))
+
+
+def _put(loop: Loop, anchors: Floats) -> Floats:
+    """Where a loop puts the anchor `(3,)` of its second local map."""
+    predicted, _, _ = _relative(anchors, loop.first, loop.second)
+    return compose(anchors[loop.first], predicted + loop.innovation)
+
+
+def _same(one: Floats, other: Floats) -> bool:
+    off = one - other
+    return bool(np.hypot(*off[:2]) < _SAME_M and abs(wrap_angle(off[2])) < _SAME_RAD)
+
+
+def _supported(loop: Loop, candidates: Sequence[Loop], anchors: Floats) -> bool:
+    """Whether the loop of a neighbour along the way moves it likewise: one pattern may repeat."""
+    put = _put(loop, anchors)
+    for other in candidates:
+        if 0 < abs(other.second - loop.second) <= _VISIT:
+            carried = compose(put, relative(anchors[loop.second], anchors[other.second]))
+            if _same(_put(other, anchors), carried):
+                return True
+    return False
+
+
+def _placed_by_patterns(
+    recall: Recall,
+    submaps: Sequence[Submap],
+    second: int,
+    submap: Submap,
+    anchors: Floats,
+    covariance: Floats,
+) -> list[Loop]:
+    """What a local map, or its mirror image, looks like, the likeliest first."""
+    loops = []
+    recalled = recall.find(submap)
+    for other, pose in zip(recalled.other.tolist(), recalled.poses, strict=True):
+        if abs(other - second) <= 1:
+            continue
+        a = submaps[other]
+        placements = place(a, submap, pose, np.diag(_RECALLED_SD**2))
+        if not placements:
+            continue
+        predicted, jacobian, rows = _relative(anchors, other, second)
+        spread = jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T + np.diag(_MATCH_SD**2)
+        # the place may be anywhere within what the graph leaves open, not near the pattern only
+        open_places = np.linalg.slogdet(spread)[1] - 2.0 * np.log(_RECALLED_SD).sum()
+        for one in placements:
+            innovation = corrected(pose, one, submap) - predicted
+            innovation[2] = wrap_angle(innovation[2])
+            prior2 = float(innovation @ np.linalg.solve(spread, innovation))
+            if prior2 > _PRIOR_GATE:
+                continue
+            odds = one.log_odds + 0.5 * (one.prior2 - prior2 - open_places)
+            landmarks = np.column_stack(
+                [a.landmark[one.pairs[:, 0]], submap.landmark[one.pairs[:, 1]]]
+            )
+            loops.append(Loop(other, second, landmarks, odds, innovation))
+    return sorted(loops, key=lambda loop: -loop.log_odds)
 
 
 def _loop(

@@ -13,7 +13,7 @@ from polemap.build.slam.association import Seen, poles, see
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import CALIBRATION_WALK, ROUNDS_MOST
 from polemap.build.slam.graph import LINK_SCALE, Graph
-from polemap.build.slam.loops import Found, Loop, find_loops
+from polemap.build.slam.loops import Found, Loop, find_loops, recall_loops
 from polemap.build.slam.noise import Noise, measure_noise
 from polemap.build.slam.problem import Problem, Solution
 from polemap.build.slam.route import Route
@@ -148,6 +148,9 @@ def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[Sta
         covariance = state.graph.covariance(anchors, np.empty(0, dtype=np.int64))
         known = set(loops) | {pair for pair, times in refused.items() if times >= 2}
         found = find_loops(submaps, state.solution.poses[anchors], covariance, config, known)
+        if not found.loops and found.unreached:
+            poses = state.solution.poses[anchors]
+            found = recall_loops(submaps, poses, covariance, config, known)
         ambiguous = found.ambiguous
         loops |= {(loop.first, loop.second): loop for loop in found.loops}
         if not found.loops:
