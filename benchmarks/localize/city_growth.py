@@ -106,11 +106,14 @@ def localized(path: Path) -> dict[str, float]:
 def measure(poles: int, folder: Path, starts: int) -> dict[str, float]:
     """All figures of a city of so many poles."""
     path = folder / f"city_{poles}.parquet"
-    row = {"poles": float(poles)} if path.exists() else apart(written, poles, path)
+    row: dict[str, float] = {"poles": float(poles)}
+    if not path.exists():
+        row |= apart(written, poles, path)
     row |= apart(indexed, path)
     row |= opened(path)
     row |= apart(searched, poles, path, starts)
-    return row | localized(path)
+    row |= localized(path)
+    return row
 
 
 def table(rows: list[dict[str, float]]) -> str:
