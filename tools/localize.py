@@ -13,7 +13,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError
 from polemap.evaluation.verdict import verdict_lines
 from polemap.localize.config import for_car
-from polemap.localize.replay import check_inputs
+from polemap.localize.replay import Run, check_inputs
 from polemap.map.city.city_map import CityMap
 from polemap.map.city.io import open_map
 from polemap.map.pole_map import PoleMap
@@ -28,6 +28,7 @@ from polemap.tools.follow.option_types import (
     IdleOption,
     ServeOption,
 )
+from polemap.tools.learn import check_learn, learn
 from polemap.tools.monte_carlo import Replay, run_many, shared_runs
 from polemap.tools.option_types import (
     ConfigOption,
@@ -67,6 +68,10 @@ def command(
         Path | None,
         typer.Option("--cache", help="Keeps detections and finished runs: a killed call goes on."),
     ] = None,
+    learned: Annotated[
+        Path | None,
+        typer.Option("--learn", help="Write a copy of the map with what the drive saw beside it."),
+    ] = None,
     topics: TopicsOption = None,
     followed: FollowOption = None,
     car: CarOption = None,
@@ -87,6 +92,7 @@ def command(
         polemap localize drives/park --lap test --map park.csv --out runs/park
         polemap localize drives/week --lap monday:friday --map park.csv --out runs/week --cache kept
         polemap localize drives/lap_2 --without-poles --out runs/lap_2_dead_reckoning
+        polemap localize drives/lap_2 --map campus.gpkg --out runs/lap_2 --learn larger.gpkg
         polemap localize --follow recording.mcap --map campus.gpkg --car drives/lap_1
         sensors | polemap localize --follow - --map campus.gpkg --car drives/lap_1 --serve 8765
 
@@ -95,25 +101,30 @@ def command(
     the same trajectories, bit for bit. The poles are detected once, in parallel; --cache keeps
     what was found there, for other runs and for the sweeps of polemap report.
 
+    --learn adds the poles that the map lacks to a copy of it; see docs/slam.md.
+
     --follow localizes while a drive is being recorded: a JSON line a pose on stdout, 100 a second,
     or --serve; see docs/live.md.
     """
     if followed is not None:
         check_options({"a drive": drive is not None, "--lap": lap is not None, "--runs": runs > 1,
                        "--cache": cache is not None, "--workers": workers is not None,
-                       "--odometry": odometry != "auto"})  # fmt: skip
+                       "--odometry": odometry != "auto",
+                       "--learn": learned is not None})  # fmt: skip
         _check_map(map_file, without_poles)
         settings = load_settings(config, set_values)
-        given = Asked(
+        asked = Asked(
             followed, map_file, car, topics, out, serve, idle_s, delay_s or 0.0, seed, settings
         )
-        return follow(given)
+        return follow(asked)
     if drive is None or out is None:
         raise ConfigError("localize: DRIVE and --out are needed (or --follow SOURCE)")
     _refuse_live_options({"--car": car, "--serve": serve, "--idle": idle_s,
                           "--delay": delay_s})  # fmt: skip
     check_folder(out, "run", (drive, map_file, cache, config, topics))
     _check_map(map_file, without_poles)
+    if learned is not None:
+        check_learn(learned, map_file, runs, [drive, config, topics])
     settings = load_settings(config, set_values)
     processes = workers or cpu_count() or 1
     source = Source(str(drive), lap, None if topics is None else str(topics), odometry)
@@ -125,11 +136,15 @@ def command(
     index_for_start(pole_map, map_file, opened, processes)
     job = Replay(source, map_file, pole_map, detected, settings, opened.frame)
     kept = None if cache is None or runs == 1 else cache / f"runs-{job.key(opened)}"
+    found_runs: list[Run] = []
     with shared_runs(kept), atomic_folder(out, "run") as folder:
         if runs == 1:
-            metrics = job.run(folder, seed, show=True)
+            metrics = job.run(folder, seed, show=True, found=found_runs.append)
         else:
             metrics = run_many(job, folder, seed, runs, min(processes, runs), kept)
+    if learned is not None and map_file is not None:
+        for line in learn(opened, detected.scans, found_runs[0].pf, map_file, learned, settings):
+            typer.echo(line)
     typer.echo(_table(metrics, () if pole_map is None else pole_map.notes, out))
     return 0
 

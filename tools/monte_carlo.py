@@ -6,7 +6,7 @@ import hashlib
 import math
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from polemap.drivelog.jobs import LocalWorkers, run_jobs
 from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
 from polemap.evaluation.verdict import judge
 from polemap.localize.io import write_metrics, write_run
-from polemap.localize.replay import replay
+from polemap.localize.replay import Run, replay
 from polemap.map.city.city_map import CityMap
 from polemap.map.map_files import map_files
 from polemap.map.pole_map import PoleMap
@@ -43,8 +43,15 @@ class Replay:
     settings: Settings
     frame: EarthFrame
 
-    def run(self, folder: Path, seed: int, *, show: bool = False) -> dict[str, Any]:
-        """One run into `folder`; its metrics."""
+    def run(
+        self,
+        folder: Path,
+        seed: int,
+        *,
+        show: bool = False,
+        found: Callable[[Run], None] = lambda _run: None,
+    ) -> dict[str, Any]:
+        """One run into `folder`; its metrics. `found` is given what the replay gave."""
         # sensors that had to be derived get noise of their own in every run
         drive = replace(self.source.open(seed), images=None, scans=())
         detected = self.detected
@@ -60,6 +67,7 @@ class Replay:
                 clock=time.perf_counter,
                 progress=advance,
             )
+        found(run)
         metrics = run_metrics(run, drive)
         metrics["verdict"] = judge(run, drive, self.pole_map, self.settings.localize.gnss)
         spent = detected.total_s()

@@ -67,6 +67,7 @@ class Graph:
         self._detections()
         self._fixes()
         self._links()
+        self._known_poles()
 
     def _key(self, kind: str, row: int) -> int:
         return int(self._gtsam.symbol(kind, row))
@@ -164,6 +165,13 @@ class Graph:
             noise = g.noiseModel.Robust.Create(kernel, g.noiseModel.Isotropic.Sigma(2, sd))
             keys = self._key("l", first), self._key("l", second)
             self._graph.add(g.BetweenFactorPoint2(*keys, np.zeros(2), noise))
+
+    def _known_poles(self) -> None:
+        g, p = self._gtsam, self._problem
+        rows = zip(p.known.tolist(), p.known_m, p.known_covariance_m2, strict=True)
+        for row, point, covariance in rows:
+            noise = g.noiseModel.Gaussian.Covariance(covariance)
+            self._graph.add(g.PriorFactorPoint2(self._key("l", row), point, noise))
 
     def solve(self, steps: int = _STEPS) -> Solution:
         """Gauss-Newton, reweighted by the kernels, with a step that is halved where it worsens."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ class Problem:
             where a drive begins.
         link: `(e, 2)` landmarks that are one pole; link_sd_m: `(e,)` their difference.
         origin: `(f,)` poses that are held where they are: the origin of a local frame.
+        known: `(g,)` landmarks of a map that is there already; known_m: `(g, 2)`,
+            known_covariance_m2: `(g, 2, 2)` where it has them.
     """
 
     poses: Floats
@@ -55,6 +57,9 @@ class Problem:
     link: Whole
     link_sd_m: Floats
     origin: Whole
+    known: Whole = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    known_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    known_covariance_m2: Floats = field(default_factory=lambda: np.empty((0, 2, 2)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from polemap.build.slam.association import Seen, poles, see
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import CALIBRATION_WALK, ROUNDS_MOST
 from polemap.build.slam.graph import LINK_SCALE, Graph
+from polemap.build.slam.known import KnownPoles
 from polemap.build.slam.loops import Found, Loop, find_loops, recall_loops
 from polemap.build.slam.noise import Noise, measure_noise
 from polemap.build.slam.problem import Problem, Solution
@@ -55,11 +56,14 @@ class Builder:
         mapping: MappingConfig,
         config: SlamConfig,
         frame: EarthFrame,
+        known: KnownPoles | None = None,
     ) -> None:
+        """With `known`, the drives lie in a map that is there already, and are held by it."""
         self._scans = scans
         self._mapping = mapping
         self._config = config
         self._frame = frame
+        self._known = known
 
     def poles(self, seen: Seen) -> tuple[Floats, Whole]:
         """Poles of several passes, and the links that lead to them."""
@@ -82,6 +86,9 @@ class Builder:
         """Solve, with links that pull from afar first where `scales` says so."""
         sds = (calibration_sd(), CALIBRATION_WALK)
         problem = build_problem(routes, seen.sightings, link, noise, extra_m=extra_m)
+        if self._known is not None:
+            problem = self._known.hold(problem, seen)
+            scales = scales or _SCALES[-1:]
         for scale in scales:
             begun = Graph(problem, sds, scale).solve(4)
             problem = replace(problem, poses=begun.poses, points_m=begun.points_m)
@@ -160,7 +167,7 @@ def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[Sta
         begun = replace(seen, sightings=start)
         level = builder.measured(state)
         state = builder.solve(state.routes, begun, level, links, scales=_SCALES)
-        broken = _broken(loops, links, state.solution)
+        broken = _broken(loops, state.problem.link, state.solution)
         for pair in broken:
             refused[pair] = refused.get(pair, 0) + 1
             taken_back.append(loops.pop(pair))

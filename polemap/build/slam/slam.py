@@ -19,6 +19,7 @@ from polemap.build.config import MappingConfig
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import KEYFRAME_M, SUBMAP_M
 from polemap.build.slam.initial import FIXES_MIN, lay_on_fixes
+from polemap.build.slam.known import KnownPoles, lay_on_localized
 from polemap.build.slam.motion import MotionNoise
 from polemap.build.slam.noise import stated_noise
 from polemap.build.slam.precision import anchor_keyframes, pose_precision
@@ -64,12 +65,13 @@ class SlamResult:
     _shift_m: Floats
     _relative_sd_m: Floats
 
-    def with_precision(self, pole_map: PoleMap) -> PoleMap:
+    def with_precision(self, pole_map: PoleMap, rows: NDArray[np.bool_] | None = None) -> PoleMap:
         """A map that was built with these poses, with what the graph knows of its poles.
 
         Passes of one graph agree by construction, so that their disagreement, by which map
         building measures a reference, says too little. What a pose is known to against the poles
-        beside it is added, as one error a pass; covariances to the earth come as columns.
+        beside it is added, as one error a pass, to all poles or to `rows` `(n,)`; covariances to
+        the earth come as columns.
         """
         if not len(pole_map):
             return pole_map
@@ -77,6 +79,8 @@ class SlamResult:
         _, row = KDTree(routes).query(pole_map.points_m - self._shift_m)
         passes = np.maximum(pole_map.extra["passes"], 1)
         own = self._relative_sd_m[np.asarray(row)] ** 2 / passes
+        if rows is not None:
+            own = np.where(rows, own, 0.0)
         return replace(
             pole_map,
             covariance_m2=pole_map.covariance_m2 + own[:, None, None] * np.eye(2),
@@ -143,6 +147,49 @@ def solve_slam(
     state, closed = close_loops(builder, state, config)
     state = settle(builder, state)
     return _result(state, closed, scans, frame, shift)
+
+
+def solve_in_map(
+    name: str,
+    drive: Drive,
+    scans: Sequence[Detections],
+    found: Trajectory,
+    pole_map: PoleMap,
+    mapping: MappingConfig,
+    config: SlamConfig,
+    noise: MotionNoise,
+) -> SlamResult:
+    """Solve a drive that was localized in a map which has a part of its poles only.
+
+    Poles of the map hold the graph where they are seen; between them odometry, fixes, loops and
+    poles that the map lacks carry it on. Nothing jumps where the map begins again: what the way
+    between was off by is spread over it.
+
+    Args:
+        name: of the drive in the map.
+        drive: with odometry, in the map's frame.
+        scans: poles seen on it.
+        found: the localizer's poses with covariance.
+        pole_map: the map.
+        mapping, config, noise: as in `solve_slam`.
+
+    Raises:
+        InputError: as `solve_slam`, or the drive was nowhere localized well.
+    """
+    frame = pole_map.frame
+    shift = np.round(pole_map.points_m.mean(axis=0) / _SHIFT_M) * _SHIFT_M
+    route = open_route(name, drive, frame, shift, noise)
+    _check([route], [scans])
+    known = KnownPoles.of(pole_map, shift)
+    builder = Builder([scans], mapping, config, frame, known)
+    routes: Sequence[Route] = [lay_on_localized(route, found, shift, config)]
+    state = builder.solve(routes, builder.associate(routes), stated_noise(config))
+    for _ in range(1, _LOCAL_ROUNDS):
+        seen = builder.associate(state.routes)
+        state = builder.solve(state.routes, seen, builder.measured(state))
+    state, closed = close_loops(builder, state, config)
+    state = settle(builder, state)
+    return _result(state, closed, [scans], frame, shift)
 
 
 def _origin(drives: Sequence[tuple[str, Drive]], frame: EarthFrame) -> tuple[EarthFrame, Floats]:
