@@ -66,6 +66,13 @@ class EstimatorConfig(BaseModel):
         le=1.0,
         description="What the heading wanders in 1 s beside the yaw rate, radians: a gyro's bias.",
     )
+    lateral_offset_walk_m: float = Field(
+        0.0,
+        ge=0.0,
+        le=10.0,
+        description="What the lateral offset wanders in 1 s beside its geometry, metres; with "
+        "heading_walk_rad the vision part of the process noise.",
+    )
     sideslip_disturbance_radps: float = Field(
         0.1,
         gt=0.0,

@@ -132,6 +132,8 @@ def _panels(study: Study) -> Figure:
             axes.axhline(mark, color="0.5", lw=0.8, ls="--")
         axes.set_ylabel(panel.label)
         axes.set_xlabel(panel.x_label)
+        if panel.log_x:
+            axes.set_xscale("log")
         axes.grid(alpha=0.3)
         if row == 0:
             axes.set_title(f"{study.name}: {study.title}, first drive")

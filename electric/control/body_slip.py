@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +32,28 @@ def feed_forward_gain(a: Floats, b: Floats) -> float:
     """
     gains = np.linalg.solve(-a, b)[0]
     return float(-gains[0] / gains[1])
+
+
+class FeedForwardSchedule:
+    """`feed_forward_gain` at any speed, in closed form.
+
+    (4 lr l Cf Cr - 2 lf Cf m V^2) / (m V^2 + 2 (lf Cf - lr Cr)), C a tyre. Where the
+    denominator vanishes the moment does not move the steady side-slip; below the kinematic limit
+    that speed's gain holds.
+
+    Source: W14 (24) with errata.md, 2DOF slip control.
+    """
+
+    def __init__(self, car: Car) -> None:
+        self._car = car
+
+    def __call__(self, speed_mps: float) -> float:
+        c, v = self._car, max(abs(speed_mps), KINEMATIC_SPEED_MPS)
+        lf, lr = c.cg_to_front_m, c.cg_to_rear_m
+        cf, cr, inertia = c.front_stiffness_nprad, c.rear_stiffness_nprad, c.mass_kg * v * v
+        above = 4.0 * lr * (lf + lr) * cf * cr - 2.0 * lf * cf * inertia
+        below = inertia + 2.0 * (lf * cf - lr * cr)
+        return above / below if below else 0.0
 
 
 def place_pi(a: Floats, b: Floats, pole_radps: float) -> PiGains:
@@ -59,7 +83,9 @@ def place_pi(a: Floats, b: Floats, pole_radps: float) -> PiGains:
 class BodySlipController:
     """Yaw moment that keeps the side-slip at its reference; anti-windup by back-calculation."""
 
-    def __init__(self, feed_forward: float, gains: PiGains, limit_nm: float) -> None:
+    def __init__(
+        self, feed_forward: float | FeedForwardSchedule, gains: PiGains, limit_nm: float
+    ) -> None:
         if limit_nm <= 0:
             raise VehicleError(f"yaw moment limit is {limit_nm} N m, it must be positive")
         self._feed_forward = feed_forward
@@ -67,10 +93,22 @@ class BodySlipController:
         self._limit_nm = limit_nm
         self._integral_nm = 0.0
 
-    def step(self, steer_rad: float, error_rad: float, dt_s: float) -> float:
-        """Yaw moment in N m for the side-slip error (reference minus estimate)."""
-        g = self._gains
-        direct = self._feed_forward * steer_rad + g.proportional_nm_per_rad * error_rad
+    def step(
+        self, steer_rad: float, error_rad: float, dt_s: float, speed_mps: float | None = None
+    ) -> float:
+        """Yaw moment in N m for the side-slip error (reference minus estimate).
+
+        A feed-forward that is scheduled needs the speed of now.
+
+        Raises:
+            VehicleError: it is not given.
+        """
+        g, forward = self._gains, self._feed_forward
+        if isinstance(forward, FeedForwardSchedule):
+            if speed_mps is None:
+                raise VehicleError("a scheduled feed-forward needs the speed of each step")
+            forward = forward(speed_mps)
+        direct = forward * steer_rad + g.proportional_nm_per_rad * error_rad
         self._integral_nm += g.integral_nm_per_rads * error_rad * dt_s
         wanted = direct + self._integral_nm
         moment = max(-self._limit_nm, min(self._limit_nm, wanted))

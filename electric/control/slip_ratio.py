@@ -88,6 +88,8 @@ class SlipRatioController:
         wheel_radps: float,
         speed_mps: float,
         dt_s: float,
+        target: float | None = None,
+        target_rate_per_s: float = 0.0,
     ) -> float:
         """Torque command in N m.
 
@@ -97,19 +99,23 @@ class SlipRatioController:
             wheel_radps: measured wheel speed.
             speed_mps: estimated longitudinal velocity of the car.
             dt_s: time since the last step.
+            target: slip ratio to hold now, the settings' by default.
+            target_rate_per_s: lambda*', how fast that target moves; 0 for a fixed one.
         """
         s = self.settings
+        wanted = s.target if target is None else target
         force = self._observer.step(applied_torque_nm, wheel_radps, dt_s)
         self._track_acceleration(speed_mps, dt_s)
         rim = self._radius_m * wheel_radps
         if speed_mps < s.floor_speed_mps or rim <= speed_mps or driver_torque_nm <= 0:
             return driver_torque_nm
         slip = (rim - speed_mps) / rim
-        error = slip - s.target
+        error = slip - wanted
         reach = s.linear_gain_per_s * error
         reach += s.switching_gain_per_s * max(-1.0, min(1.0, error / s.boundary))
         spin = self._inertia * wheel_radps * wheel_radps
         inner = self._acceleration / speed_mps * (1.0 - slip) + speed_mps / spin * force - reach
+        inner += target_rate_per_s
         torque = self._radius_m * spin / speed_mps * inner
         return max(0.0, min(driver_torque_nm, torque))
 

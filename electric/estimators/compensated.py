@@ -92,13 +92,19 @@ class CompensatedKalman:
     The reported deviation is that of the steady filter at the speed of now; it ignores the
     delay. When pictures stay away it grows as the gyro alone lets it.
 
-    Source: W14 (17)-(22) as corrected in errata.md, Inter-sample compensation.
+    The residual is propagated for j < T_l / T_s steps (W14), or `until_arrival` of the next
+    picture, whenever that is (W13, whose pictures come unevenly).
+
+    Source: W14 (17)-(22), W13 (16)-(22) as corrected in errata.md, Inter-sample compensation.
     """
 
     fields = ("sideslip_rad", "yaw_rate_radps", "heading_rad", "lateral_offset_m")
 
-    def __init__(self, car: Car, config: EstimatorConfig) -> None:
+    def __init__(self, car: Car, config: EstimatorConfig, *, until_arrival: bool = False) -> None:
         self._config = config
+        frame = max(1, round(config.camera_period_s / config.step_s))
+        self._propagated_steps = 1 << 62 if until_arrival else frame - 1
+        self._left = 0
         self._rows, self._covariances, self._per_log = _table(car, config)
         self._schedule = schedule(combined_vision, car, vision_density(config), config.step_s)
         self._clock = Clock(config.step_s)
@@ -133,6 +139,9 @@ class CompensatedKalman:
         (_, k01, k02, _, k11, k12, _, k21, k22, _, k31, k32) = row[17:]
         delta, moment = inputs.road_wheel_angle_rad, inputs.yaw_moment_nm
         b, r, h = self._b, self._r, self._h
+        if self._left <= 0:
+            self._eb = self._er = self._eh = self._ey = 0.0
+        self._left -= 1
         eb, er, eh = self._eb, self._er, self._eh
         e0, e1 = g00 * eb + g01 * er, g10 * eb + g11 * er
         e2 = g20 * eb + g21 * er + eh
@@ -181,6 +190,7 @@ class CompensatedKalman:
             self._row[i] for i in (18, 19, 21, 22, 24, 25, 27, 28)
         )
         before = self._state()
+        self._left = self._propagated_steps
         self._b += k01 * heading + k02 * offset
         self._r += k11 * heading + k12 * offset
         self._h += k21 * heading + k22 * offset

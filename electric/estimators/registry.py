@@ -76,6 +76,12 @@ ESTIMATORS: dict[str, Entry] = {
         CompensatedKalman,
         (CAMERA,),
     ),
+    "uneven_compensated": Entry(
+        "residual against the stored state, propagated to the next picture (W13's proposal)",
+        (YAW_RATE, CAMERA),
+        lambda car, config: CompensatedKalman(car, config, until_arrival=True),
+        (CAMERA,),
+    ),
     "uneven_delay": Entry(
         "residual against the stored state (W13, corrected)",
         (YAW_RATE, CAMERA),

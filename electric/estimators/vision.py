@@ -27,8 +27,16 @@ CURVATURE_ERROR_S = 0.5
 
 
 def vision_density(config: EstimatorConfig) -> tuple[float, ...]:
-    """Diagonal of the process noise: the vehicle model errs, the geometry does not."""
-    return (config.sideslip_walk_rad**2, config.yaw_rate_walk_radps**2, 0.0, 0.0)
+    """Diagonal of the process noise: vehicle part, and vision part (none by default).
+
+    Source: W14 (23), Q_veh and Q_vis.
+    """
+    return (
+        config.sideslip_walk_rad**2,
+        config.yaw_rate_walk_radps**2,
+        config.heading_walk_rad**2,
+        config.lateral_offset_walk_m**2,
+    )
 
 
 def initial_covariance(config: EstimatorConfig) -> Floats:

@@ -35,8 +35,10 @@ def outcome(
     drives: list[Simulated],
     *,
     with_nees: bool = False,
+    field: str = "sideslip_rad",
 ) -> Outcome:
-    """Side-slip RMSE over all drives, mean stated variance (as a root) and mean NEES per state."""
+    """RMSE of a field (side-slip) over all drives, mean stated variance (as a root), mean NEES."""
+    state = ("sideslip_rad", "yaw_rate_radps", "heading_rad", "lateral_offset_m").index(field)
     errors, variances, nees = [], [], []
     for drive in drives:
         skip = round(SETTLED_S / config.step_s)
@@ -50,9 +52,9 @@ def outcome(
 
         played = play(make_estimator(name, car, config), drive.log, every=EVERY, observe=weigh)
         late = slice(skip // EVERY, None)
-        truth = drive.truth[::EVERY, 0]
-        errors.append((played.column("sideslip_rad") - truth)[late])
-        variances.append(np.mean(played.sd_of("sideslip_rad")[late] ** 2))
+        truth = drive.truth[::EVERY, state]
+        errors.append((played.column(field) - truth)[late])
+        variances.append(np.mean(played.sd_of(field)[late] ** 2))
     each = np.sqrt(np.mean(np.square(errors), axis=1))
     return Outcome(
         float(np.sqrt(np.mean(np.square(errors)))),

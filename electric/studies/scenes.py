@@ -13,7 +13,11 @@ from polemap.electric.signals import SignalLog
 from polemap.vehicle.discretize import van_loan, zero_order_hold
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.single_track import combined_vision, lateral_acceleration_rows
+from polemap.vehicle.single_track import (
+    combined_vision,
+    lateral_acceleration_rows,
+    schedule,
+)
 
 Floats = NDArray[np.float64]
 
@@ -40,10 +44,10 @@ GRAVITY_MPS2 = 9.81
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A drive at constant speed.
+    """A drive at constant speed, or at one that swings between two.
 
     Attributes:
-        speed_mps: of the whole drive.
+        speed_mps: of the whole drive, or the lowest.
         duration_s: its length.
         steering_rad: amplitude of the sine.
         steering_hz: its frequency.
@@ -51,6 +55,8 @@ class Scene:
         period_s: of the late sensor.
         model_noise: whether the plant follows the filter's process noise; without it the drive
             is the model's own answer to the steering.
+        top_speed_mps: the highest, reached each `swing_s`; None for a constant speed.
+        swing_s: from lowest to lowest speed.
     """
 
     speed_mps: float
@@ -60,6 +66,16 @@ class Scene:
     delays_s: tuple[float, ...] = (0.033,)
     period_s: float = 0.033
     model_noise: bool = True
+    top_speed_mps: float | None = None
+    swing_s: float = 8.0
+
+    def speeds(self, stamps_s: Floats) -> Floats:
+        """Speed `(n,)` at the stamps, m/s: a cosine between the lowest and the highest."""
+        if self.top_speed_mps is None:
+            return np.full(len(stamps_s), self.speed_mps)
+        half = 0.5 * (self.top_speed_mps - self.speed_mps)
+        turn = 2.0 * np.pi / self.swing_s
+        return np.asarray(self.speed_mps + half * (1.0 - np.cos(turn * stamps_s)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +101,7 @@ def drive_with_camera(
     columns = {
         "road_wheel_angle_rad": steering,
         "yaw_rate_radps": yaw_rate,
-        "vx_mps": np.full(n, scene.speed_mps),
+        "vx_mps": scene.speeds(stamps),
         "heading_rad": heading,
         "lateral_offset_m": offset,
         "camera_arrival_s": arrival,
@@ -108,19 +124,25 @@ def drive_with_gps(
     """
     truth, steering, stamps = _states(plant, scene, config, rng)
     n = len(stamps)
-    row, direct = lateral_acceleration_rows(plant, scene.speed_mps)
-    ay = truth[:, :2] @ row + direct[0] * steering
+    speed_mps = scene.speeds(stamps)
+    if scene.top_speed_mps is None:
+        row, direct = lateral_acceleration_rows(plant, scene.speed_mps)
+        ay = truth[:, :2] @ row + direct[0] * steering
+    else:
+        # v sin(beta) changes with the speed, too: ay = dvy/dt + gamma vx
+        vy = speed_mps * np.sin(truth[:, 0])
+        ay = np.gradient(vy, stamps) + truth[:, 1] * speed_mps * np.cos(truth[:, 0])
     rolled = ay + GRAVITY_MPS2 * np.sin(roll_rad_per_mps2 * ay) + acceleration_bias_mps2
     noise = config.acceleration_walk_mps / np.sqrt(config.step_s)
-    vx, vy = scene.speed_mps * np.cos(truth[:, 0]), scene.speed_mps * np.sin(truth[:, 0])
+    vx, vy = speed_mps * np.cos(truth[:, 0]), speed_mps * np.sin(truth[:, 0])
     ax = np.gradient(vx, stamps) - truth[:, 1] * vy
     rows, arrivals = _captures(scene, config.step_s, n)
     course, speed, arrival = (np.full(n, np.nan) for _ in range(3))
     course[rows] = truth[rows, 0] + truth[rows, 2]
     course[rows] += config.course_sd_rad * rng.standard_normal(len(rows))
-    speed[rows] = scene.speed_mps + config.speed_sd_mps * rng.standard_normal(len(rows))
+    speed[rows] = speed_mps[rows] + config.speed_sd_mps * rng.standard_normal(len(rows))
     arrival[rows] = arrivals
-    wheel = np.full(n, scene.speed_mps)
+    wheel = speed_mps.copy()
     columns = {
         "road_wheel_angle_rad": steering,
         "yaw_rate_radps": truth[:, 1] + config.gyro_sd_radps * rng.standard_normal(n),
@@ -143,8 +165,10 @@ def _states(
     if not scene.duration_s > 1.0:
         raise VehicleError(f"a scene of {scene.duration_s} s is too short, take 1 s at least")
     n = round(scene.duration_s / config.step_s) + 1
-    stamps = np.arange(n) * config.step_s
-    steering = scene.steering_rad * np.sin(2.0 * np.pi * scene.steering_hz * stamps)
+    stamps: Floats = np.asarray(np.arange(n) * config.step_s, dtype=np.float64)
+    steering: Floats = scene.steering_rad * np.sin(2.0 * np.pi * scene.steering_hz * stamps)
+    if scene.top_speed_mps is not None:
+        return _varying(plant, scene, config, rng, steering, stamps)
     a, b = combined_vision(plant, scene.speed_mps)
     g, h = zero_order_hold(a, b, config.step_s)
     pushed = steering[:, None] * h[:, 0]
@@ -157,6 +181,29 @@ def _states(
     for k in range(1, n):
         truth[k] = g @ truth[k - 1] + pushed[k - 1]
     return truth, np.asarray(steering), np.asarray(stamps, dtype=np.float64)
+
+
+def _varying(
+    plant: Car,
+    scene: Scene,
+    config: EstimatorConfig,
+    rng: np.random.Generator,
+    steering: Floats,
+    stamps: Floats,
+) -> tuple[Floats, Floats, Floats]:
+    """`_states` where the speed changes: each step by the model of its own speed."""
+    model = schedule(combined_vision, plant, vision_density(config), config.step_s)
+    n = len(stamps)
+    speeds = scene.speeds(stamps).tolist()
+    drawn = rng.standard_normal((n, 4)) if scene.model_noise else np.zeros((n, 4))
+    truth = np.zeros((n, 4))
+    for k in range(1, n):
+        g, h, q = model.at(speeds[k - 1])
+        truth[k] = g @ truth[k - 1] + h[:, 0] * steering[k - 1]
+        if scene.model_noise:
+            values, vectors = np.linalg.eigh(q)
+            truth[k] += vectors @ (np.sqrt(np.maximum(values, 0.0)) * drawn[k])
+    return truth, steering, stamps
 
 
 def _captures(scene: Scene, step_s: float, rows: int) -> tuple[NDArray[np.int64], Floats]:

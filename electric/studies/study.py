@@ -46,6 +46,7 @@ class Panel:
     curves: tuple[Curve, ...]
     marks: tuple[float, ...] = ()
     x_label: str = "time, s"
+    log_x: bool = False
 
 
 @dataclass(frozen=True, slots=True)

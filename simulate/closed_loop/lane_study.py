@@ -46,7 +46,7 @@ def run_lane(
         SPEED_MPS,
         DURATION_S,
         driver,
-        None if gains is None else BodySlipLoop(car, SPEED_MPS, gains, limit),
+        None if gains is None else BodySlipLoop(car, gains, limit),
         rng=np.random.default_rng(seed),
         sensors=SensorModel(preview_m=car.preview_m),
         estimator=estimator,

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from polemap.electric.control.body_slip import (
     BodySlipController,
+    FeedForwardSchedule,
     PiGains,
     distribute_torque,
-    feed_forward_gain,
 )
 from polemap.electric.estimators.base import Estimate, Estimator
 from polemap.simulate.closed_loop.sensing import Measured, SensorFeed, SensorModel
 from polemap.simulate.plant import Friction, Plant, PlantInput, PlantParameters, PlantState
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.single_track import lateral
 
 Floats = NDArray[np.float64]
 _SPEED_GAIN_PER_S = 2.0
@@ -173,15 +172,15 @@ class LaneChange:
 class BodySlipLoop:
     """W14's controller on an estimate: the side-slip is wanted to be zero."""
 
-    def __init__(self, car: Car, speed_mps: float, gains: PiGains, limit_nm: float) -> None:
-        self._controller = BodySlipController(
-            feed_forward_gain(*lateral(car, speed_mps)), gains, limit_nm
-        )
+    def __init__(self, car: Car, gains: PiGains, limit_nm: float) -> None:
+        self._controller = BodySlipController(FeedForwardSchedule(car), gains, limit_nm)
         self._limit_nm = limit_nm
 
     def __call__(
         self, driver_rad: float, seen: Estimate, measured: Measured, dt_s: float
     ) -> Command:
         # the driver's angle is what the motors answer to: the measured one comes a lag later
-        moment = self._controller.step(driver_rad, -seen.value("sideslip_rad"), dt_s)
+        moment = self._controller.step(
+            driver_rad, -seen.value("sideslip_rad"), dt_s, measured.speed_mps
+        )
         return Command(driver_rad, moment, abs(moment) >= self._limit_nm)

@@ -7,7 +7,7 @@ from math import inf, log10, pi
 import numpy as np
 from scipy.optimize import brentq
 
-from polemap.electric.control.body_slip import place_pi
+from polemap.electric.control.body_slip import PiGains, place_pi
 from polemap.electric.estimators.base import CAMERA
 from polemap.electric.studies.scenes import KMH
 from polemap.electric.studies.study import Curve, Line, Panel, Report, Study
@@ -16,8 +16,10 @@ from polemap.simulate.closed_loop.margins import (
     FAST_S,
     SLOW_S,
     Margins,
+    frequency_response,
     loop_margins,
     margin_with_estimator_db,
+    open_loop,
     scaled,
 )
 from polemap.vehicle.parameters import Car
@@ -202,8 +204,30 @@ def _panels(car: Car) -> tuple[Panel, ...]:
         for n, t in rates
     )
     return (
+        *_bode_and_nyquist(car, base),
         Panel(
             "gain margin, dB", over_speed, (), "speed, km/h (no lag, two poles at 0.3 of the trace)"
         ),
         Panel("gain margin, dB", over_lag, (), "lag of the motors, ms (25 km/h)"),
+    )
+
+
+def _bode_and_nyquist(car: Car, gains: PiGains) -> tuple[Panel, ...]:
+    """Bode (gain, phase) and Nyquist of both rates, without and with the motors' lag."""
+    gain, phase, nyquist = [], [], []
+    for label, period in (("33 ms", SLOW_S), ("1 ms", FAST_S)):
+        for lag, text in ((0.0, ""), (LAG_S, ", motors of 5 ms")):
+            loop = open_loop(car, SPEED_MPS, gains, period, lag)
+            hz = np.geomspace(0.05, 0.499 / period, 400)
+            answer = frequency_response(loop, hz)
+            gain.append(Curve(label + text, hz, 20.0 * np.log10(np.abs(answer))))
+            turned = np.degrees(np.unwrap(np.angle(answer)))
+            turned -= 360.0 * np.round(turned[0] / 360.0)
+            phase.append(Curve(label + text, hz, turned))
+            near = np.abs(answer) < 3.0  # the rest of the curve leads off to the integrator
+            nyquist.append(Curve(label + text, answer.real[near], answer.imag[near]))
+    return (
+        Panel("gain, dB", tuple(gain), (0.0,), "frequency, Hz", log_x=True),
+        Panel("phase, degrees", tuple(phase), (-180.0,), "frequency, Hz", log_x=True),
+        Panel("Nyquist, imaginary part", tuple(nyquist), (0.0,), "real part; -1 is the limit"),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from math import inf, log10, pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +41,22 @@ def loop_margins(
     lag. A Kalman filter that hears every command changes nothing here: what it adds to the loop
     cancels (separation).
     """
-    control = need("control")
+    loop = open_loop(car, speed_mps, gains, period_s, lag_s)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about the accuracy of polynomial roots: tests check it
+        gain, phase, at_phase, _ = need("control").margin(loop)
+    return Margins(
+        20.0 * log10(gain) if np.isfinite(gain) else inf,
+        float(phase),
+        float(at_phase) / (2.0 * pi),
+    )
 
+
+def open_loop(
+    car: Car, speed_mps: float, gains: PiGains, period_s: float, lag_s: float = 0.0
+) -> Any:
+    """The loop that `loop_margins` looks at, as a discrete transfer function of control."""
+    control = need("control")
     a, b = lateral(car, speed_mps)
     if lag_s > 0.0:
         a = np.block([[a, b[:, 1:]], [np.zeros((1, 2)), np.array([[-1.0 / lag_s]])]])
@@ -57,14 +72,13 @@ def loop_margins(
         [1.0, -1.0],
         period_s,
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about the accuracy of polynomial roots: tests check it
-        gain, phase, at_phase, _ = control.margin(pi_law * control.ss2tf(plant))
-    return Margins(
-        20.0 * log10(gain) if np.isfinite(gain) else inf,
-        float(phase),
-        float(at_phase) / (2.0 * pi),
-    )
+    return pi_law * control.ss2tf(plant)
+
+
+def frequency_response(loop: Any, frequencies_hz: Floats) -> NDArray[np.complex128]:
+    """The open loop `(n,)` at frequencies below its Nyquist frequency."""
+    turn = np.exp(2j * np.pi * np.asarray(frequencies_hz) * loop.dt)
+    return np.asarray(loop(turn), dtype=np.complex128)
 
 
 def scaled(gains: PiGains, factor: float) -> PiGains:

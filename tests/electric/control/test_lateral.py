@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from polemap.electric.control.body_slip import (
     BodySlipController,
+    FeedForwardSchedule,
     PiGains,
     distribute_torque,
     feed_forward_gain,
@@ -23,6 +24,10 @@ from polemap.electric.control.lateral_stability import (
     neutral_reference,
 )
 from polemap.vehicle.errors import VehicleError
+from polemap.vehicle.io import load_car
+from polemap.vehicle.single_track import lateral
+
+COMS = load_car("coms")
 
 # W14 Table I at 25 km/h
 MASS, FRONT, REAR, CF, CR, INERTIA, SPEED = 380.0, 0.8, 0.6, 6000.0, 6000.0, 136.08, 25.0 / 3.6
@@ -159,3 +164,18 @@ def test_the_guard_hands_back_what_the_wheels_cannot_carry_and_says_so() -> None
     while guard.step(asked, 0.1, 0.05, 1e-3).saturated:
         steps += 1
     assert steps == pytest.approx(1000, abs=2)  # the return takes a second
+
+
+@pytest.mark.parametrize("kmh", [10.0, 20.0, 25.0, 40.0, 60.0])
+def test_the_scheduled_feed_forward_is_the_dc_gain_of_each_speed(kmh: float) -> None:
+    scheduled = FeedForwardSchedule(COMS)(kmh / 3.6)
+    assert scheduled == pytest.approx(feed_forward_gain(*lateral(COMS, kmh / 3.6)), rel=1e-9)
+
+
+def test_a_scheduled_feed_forward_takes_the_speed_of_each_step() -> None:
+    controller = BodySlipController(FeedForwardSchedule(COMS), PiGains(0.0, 0.0), 1e6)
+    at_25 = controller.step(0.01, 0.0, 1e-3, 25.0 / 3.6)
+    assert at_25 == pytest.approx(-26.52, abs=0.01)
+    assert controller.step(0.01, 0.0, 1e-3, 10.0 / 3.6) != at_25
+    with pytest.raises(VehicleError, match="needs the speed"):
+        controller.step(0.01, 0.0, 1e-3)

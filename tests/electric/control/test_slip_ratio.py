@@ -67,3 +67,25 @@ def test_never_exceeds_the_driver_nor_brakes_for_him() -> None:
 def test_refuses_a_wheel_without_inertia() -> None:
     with pytest.raises(VehicleError, match="inertia, radius and cut-off"):
         DrivingForceObserver(0.0, RADIUS, 200.0)
+
+
+def test_a_target_that_moves_is_followed_with_its_rate_and_lagged_behind_without() -> None:
+    """S' = -L S - Q sat(S / phi) holds for a moving target only with lambda*' in the law."""
+    errors = []
+    for told in (True, False):
+        controller = SlipRatioController(INERTIA, RADIUS, SlipRatioSettings())
+        speed, wheel, torque, off = 3.0, 3.0 / RADIUS, 0.0, []
+        for k in range(1500):
+            stamp = 1e-3 * k
+            target = 0.1 + 0.03 * np.sin(2 * np.pi * 2.0 * stamp)
+            rate = 0.03 * 2 * np.pi * 2.0 * np.cos(2 * np.pi * 2.0 * stamp)
+            slip = (RADIUS * wheel - speed) / (RADIUS * wheel)
+            force = float(np.clip(9000.0 * slip, 0.0, 0.1 * MASS * 9.81))
+            wheel += 1e-3 * (torque - RADIUS * force) / INERTIA
+            speed += 1e-3 * force / MASS
+            torque = controller.step(
+                70.0, torque, wheel, speed, 1e-3, target, rate if told else 0.0
+            )
+            off.append(slip - target)
+        errors.append(float(np.sqrt(np.mean(np.square(off[600:])))))
+    assert errors[0] < 0.3 * errors[1]

@@ -11,9 +11,11 @@ from polemap.electric.control.body_slip import PiGains, place_pi
 from polemap.simulate.closed_loop.margins import (
     FAST_S,
     SLOW_S,
+    frequency_response,
     gains_for_margin,
     loop_margins,
     margin_with_estimator_db,
+    open_loop,
     scaled,
 )
 from polemap.vehicle.discretize import zero_order_hold
@@ -69,3 +71,11 @@ def test_with_the_running_estimator_the_gap_stays() -> None:
 def test_an_unstable_loop_has_no_margin() -> None:
     with pytest.raises(VehicleError, match="unstable as it is"):
         margin_with_estimator_db("bicycle", COMS, SPEED, scaled(GAINS, -5.0))
+
+
+def test_the_bode_plot_crosses_where_the_margin_says() -> None:
+    loop = open_loop(COMS, 25 / 3.6, place_pi(*lateral(COMS, 25 / 3.6), 2.0 * np.pi), FAST_S)
+    margins = loop_margins(COMS, 25 / 3.6, place_pi(*lateral(COMS, 25 / 3.6), 2.0 * np.pi), FAST_S)
+    answer = frequency_response(loop, np.array([margins.gain_hz]))[0]
+    assert answer.real == pytest.approx(-(10.0 ** (-margins.gain_db / 20.0)), rel=1e-3)
+    assert abs(answer.imag) < 1e-3 * abs(answer.real)
