@@ -104,12 +104,22 @@ def _sentences(summary: SlamSummary) -> tuple[str, ...]:
     loops = (
         f"Loops closed where a place was seen again: {summary.loops}; taken back, as the rest "
         f"contradicted them: {summary.loops_taken_back}; left open, as two places would have "
-        f"served: {summary.loops_ambiguous}. Detections lie "
+        f"served: {summary.loops_ambiguous}. {_strain(summary.places)}Detections lie "
         f"{number(summary.detection_residual_m, 2)} m from their poles (median); of "
         f"{summary.links} passes of poles {summary.links_given_up} did not fit their pole and were "
         "given up."
     )
     return expected + place, loops
+
+
+def _strain(places: Sequence[LoopFigures]) -> str:
+    strain = [one.strain for one in places if not one.taken_back]
+    if not strain:
+        return ""
+    return (
+        f"Their strain, a chi-square of three degrees of freedom where loops are right, is "
+        f"{np.median(strain):.1f} in the middle (2.4 expected), the largest {max(strain):.1f}. "
+    )
 
 
 def _drives_table(drives: Sequence[DriveSummary], anchor: str) -> Table:
@@ -173,15 +183,17 @@ def _loops_table(places: Sequence[LoopFigures], anchor: str) -> Table:
             f"{one.second_drive}, {one.second_way_m:.0f} m",
             str(one.poles),
             f"{one.log_odds:.1f}",
+            f"{one.strain:.1f}",
         )
         for one in back[:_TAKEN_BACK_SHOWN]
     )
     more = len(back) - len(rows)
-    note = f"{more} more are in report.json." if more > 0 else ""
+    note = "Strain: squared distance, in deviations, of the solved poses from what was matched."
+    note += f" {more} more are in report.json." if more > 0 else ""
     return Table(
         f"{anchor}-loops",
         "Loops that were taken back",
-        ("seen", "and again", "poles matched", "log odds"),
+        ("seen", "and again", "poles matched", "log odds", "strain"),
         rows,
         note,
         text_columns=2,

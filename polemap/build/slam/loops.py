@@ -12,13 +12,13 @@ badly to look for them, the index of patterns tells what looks alike (`recall`).
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import LOOP_MARGIN
+from polemap.build.slam.loop import MATCH_SD, Found, Loop
 from polemap.build.slam.matching import Placement, corrected, place
 from polemap.build.slam.recall import Recall, mirrored
 from polemap.build.slam.submaps import Submap
@@ -36,45 +36,6 @@ _SAME_M, _SAME_RAD = 4.0, 0.15  # places that are one
 _RECALLED_SD = np.array([1.0, 1.0, 0.05])  # of a place that patterns tell
 _PRIOR_GATE = chi_square_quantile(0.997, 3)
 _JOINT_GATE = chi_square_quantile(0.9999, 3)
-# what matching whole local maps leaves, metres and radians, and what their bending adds
-_MATCH_SD = np.array([0.15, 0.15, 0.01])
-
-
-@dataclass(frozen=True, slots=True)
-class Loop:
-    """Two local maps that show one place.
-
-    Attributes:
-        first, second: their numbers; landmarks: `(k, 2)` that are one pole each.
-        log_odds: against being elsewhere.
-        innovation: `(3,)` measured less predicted pose of the second in the first.
-    """
-
-    first: int
-    second: int
-    landmarks: Whole
-    log_odds: float
-    innovation: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """Loops of a round, and how many matches were ambiguous or at odds with surer ones.
-
-    `unreached`: whether some place is known too badly to look for it yet.
-    """
-
-    loops: tuple[Loop, ...]
-    ambiguous: int
-    at_odds: int
-    unreached: bool = False
-
-    def links(self) -> Whole:
-        """All pairs of landmarks `(k, 2)`, each once."""
-        if not self.loops:
-            return np.empty((0, 2), dtype=np.int64)
-        pairs = np.sort(np.concatenate([loop.landmarks for loop in self.loops]), axis=1)
-        return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
 
 
 def find_loops(
@@ -100,7 +61,7 @@ def find_loops(
         if (first, second) in known:
             continue
         predicted, jacobian, rows = _relative(anchors, first, second)
-        spread = jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T + np.diag(_MATCH_SD**2)
+        spread = jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T + np.diag(MATCH_SD**2)
         a, b = submaps[first], submaps[second]
         placements = place(a, b, predicted, spread)
         if not placements or placements[0].log_odds < config.loop_log_odds:
@@ -203,7 +164,7 @@ def _placed_by_patterns(
         if not placements:
             continue
         predicted, jacobian, rows = _relative(anchors, other, second)
-        spread = jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T + np.diag(_MATCH_SD**2)
+        spread = jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T + np.diag(MATCH_SD**2)
         # the place may be anywhere within what the graph leaves open, not near the pattern only
         open_places = np.linalg.slogdet(spread)[1] - 2.0 * np.log(_RECALLED_SD).sum()
         for one in placements:
@@ -216,17 +177,19 @@ def _placed_by_patterns(
             landmarks = np.column_stack(
                 [a.landmark[one.pairs[:, 0]], submap.landmark[one.pairs[:, 1]]]
             )
-            loops.append(Loop(other, second, landmarks, odds, innovation))
+            measured = corrected(pose, one, submap)
+            loops.append(Loop(other, second, landmarks, odds, innovation, measured))
     return sorted(loops, key=lambda loop: -loop.log_odds)
 
 
 def _loop(
     first: int, second: int, a: Submap, b: Submap, predicted: Floats, best: Placement
 ) -> Loop:
-    innovation = corrected(predicted, best, b) - predicted
+    measured = corrected(predicted, best, b)
+    innovation = measured - predicted
     innovation[2] = wrap_angle(innovation[2])
     landmarks = np.column_stack([a.landmark[best.pairs[:, 0]], b.landmark[best.pairs[:, 1]]])
-    return Loop(first, second, landmarks, best.log_odds, innovation)
+    return Loop(first, second, landmarks, best.log_odds, innovation, measured)
 
 
 def _candidates(
@@ -279,7 +242,7 @@ def _agreeing(loops: list[Loop], anchors: Floats, covariance: Floats) -> list[Lo
     """The loops that are jointly compatible, from the surest on."""
     spread = covariance.copy()
     state = np.zeros(len(spread))
-    noise = np.diag(_MATCH_SD**2)
+    noise = np.diag(MATCH_SD**2)
     kept = []
     for loop in sorted(loops, key=lambda loop: (-loop.log_odds, loop.first, loop.second)):
         _, jacobian, rows = _relative(anchors, loop.first, loop.second)

@@ -41,6 +41,8 @@ class LoopFigures:
     Attributes:
         first_drive, second_drive, first_way_m, second_way_m: where it was seen.
         poles: how many were matched; log_odds: against being elsewhere.
+        strain: how far the solved graph leaves what was matched, a chi-square of three degrees of
+            freedom where the loop is right.
         taken_back: whether the rest contradicted it.
     """
 
@@ -50,6 +52,7 @@ class LoopFigures:
     second_way_m: float
     poles: int
     log_odds: float
+    strain: float
     taken_back: bool
 
 
@@ -134,12 +137,18 @@ def sentences(summary: SlamSummary) -> tuple[str, ...]:
             + " (1 sd an axis, median and largest)"
         )
         lines.append("    odometry: " + _calibration(part.calibration))
+    strain = [one.strain for one in summary.places if not one.taken_back]
     lines.append(
         f"  {summary.loops} loops closed, {summary.loops_taken_back} taken back, "
         f"{summary.loops_ambiguous} left as ambiguous; detections "
         f"{summary.detection_residual_m:.2f} m from their poles (median); "
         f"{summary.links_given_up} of {summary.links} passes of poles given up"
     )
+    if strain:
+        lines.append(
+            f"  strain of the loops (chi-square of 3, 2.4 expected in the middle): "
+            f"{np.median(strain):.1f} median, {max(strain):.1f} largest"
+        )
     if summary.absolute:
         lines.append(
             f"  GNSS as measured: {summary.gnss_sd_m:.2f} m an axis at HDOP 1, lasting "

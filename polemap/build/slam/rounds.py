@@ -14,7 +14,8 @@ from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import CALIBRATION_WALK, ROUNDS_MOST
 from polemap.build.slam.graph import LINK_SCALE, Graph
 from polemap.build.slam.known import KnownPoles
-from polemap.build.slam.loops import Found, Loop, find_loops, recall_loops
+from polemap.build.slam.loop import STRAIN_GATE, Found, Loop
+from polemap.build.slam.loops import find_loops, recall_loops
 from polemap.build.slam.noise import Noise, measure_noise
 from polemap.build.slam.problem import Problem, Solution
 from polemap.build.slam.route import Route
@@ -163,11 +164,17 @@ def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[Sta
         if not found.loops:
             break
         links = Found(tuple(loops.values()), 0, 0).links()
-        start = replace(seen.sightings, start_m=state.solution.points_m)
+        start = replace(seen.sightings, start_m=state.solution.points_m[: len(seen.landmarks)])
         begun = replace(seen, sightings=start)
         level = builder.measured(state)
         state = builder.solve(state.routes, begun, level, links, scales=_SCALES)
         broken = _broken(loops, state.problem.link, state.solution)
+        solved = state.solution.poses[anchors]
+        broken += [
+            pair
+            for pair, loop in loops.items()
+            if pair not in broken and loop.strain(solved) > STRAIN_GATE
+        ]
         for pair in broken:
             refused[pair] = refused.get(pair, 0) + 1
             taken_back.append(loops.pop(pair))

@@ -106,6 +106,7 @@ def _places(state: State, closed: Closed, starts: Whole) -> tuple[LoopFigures, .
         way = float(ways[number][keyframe - int(starts[number])])
         return state.routes[number].name, round(way, 1)
 
+    solved = state.solution.poses[closed.anchors]
     rows = [(loop, False) for loop in closed.loops] + [(loop, True) for loop in closed.taken_back]
     return tuple(
         LoopFigures(
@@ -113,6 +114,7 @@ def _places(state: State, closed: Closed, starts: Whole) -> tuple[LoopFigures, .
             *place(loop.second),
             poles=len(loop.landmarks),
             log_odds=round(loop.log_odds, 2),
+            strain=round(loop.strain(solved), 2),
             taken_back=back,
         )
         for loop, back in rows

@@ -40,8 +40,8 @@ def drive(name: str = EVIL, fixes: int = 4) -> DriveSummary:
 def summary(*drives: DriveSummary) -> SlamSummary:
     names = [part.drive for part in drives]
     places = (
-        LoopFigures(names[0], 10.0, names[-1], 90.0, 5, 12.5, taken_back=False),
-        LoopFigures(names[0], 20.0, names[-1], 70.0, 3, 9.0, taken_back=True),
+        LoopFigures(names[0], 10.0, names[-1], 90.0, 5, 12.5, 2.0, taken_back=False),
+        LoopFigures(names[0], 20.0, names[-1], 70.0, 3, 9.0, 40.0, taken_back=True),
     )
     absolute = any(part.fixes for part in drives)
     return SlamSummary(drives, 1, 1, 2, 0.08, 40, 3, 1.4, 30.0, absolute, places)

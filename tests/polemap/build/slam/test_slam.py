@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from polemap.build.slam import rounds
+from polemap.build.slam.loop import STRAIN_GATE, Found, Loop
 from polemap.build.slam.motion import CALIBRATION
 from polemap.build.slam.report import sentences
+from polemap.build.slam.submaps import Submap
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.extras import MissingExtraError
@@ -164,3 +170,41 @@ def test_identical_avenues_side_by_side_are_not_taken_for_one() -> None:
     result = solve(sim.drive)
     _, laid = pose_errors(result, sim.truth)
     assert laid.max() < 6.0
+
+
+def test_a_wrong_loop_is_found_by_its_strain_and_taken_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sim = made(101)
+    right = solve(sim.drive)
+    found = rounds.find_loops
+    wrong: list[Loop] = []
+
+    def with_a_wrong_one(
+        submaps: Sequence[Submap], anchors: NDArray[np.float64], *rest: Any, **more: Any
+    ) -> Found:
+        result = found(submaps, anchors, *rest, **more)
+        if not wrong:
+            # two ends of the block for one place, by a single pair of poles, which ties little
+            a, b = submaps[0], submaps[3]
+            pair = np.array([[a.landmark[0], b.landmark[0]]])
+            at = np.array([1.0, 2.0, 0.1])
+            wrong.append(Loop(0, 3, pair, 99.0, np.zeros(3), at))
+        return replace(result, loops=(*result.loops, *wrong))
+
+    monkeypatch.setattr(rounds, "find_loops", with_a_wrong_one)
+    result = solve(sim.drive)
+    back = [one for one in result.summary.places if one.taken_back]
+    assert any(one.log_odds == 99.0 and one.strain > STRAIN_GATE for one in back)
+    assert all(one.log_odds < 99.0 for one in result.summary.places if not one.taken_back)
+    off, _ = pose_errors(result, sim.truth)
+    assert np.quantile(np.abs(off - pose_errors(right, sim.truth)[0]), 0.95) < 0.1
+
+
+def test_strain_is_the_squared_distance_in_deviations() -> None:
+    anchors = np.array([[0.0, 0.0, np.pi / 2], [0.0, 10.0, np.pi / 2]])
+    none = np.empty((0, 2), dtype=np.int64)
+    loop = Loop(0, 1, none, 9.0, np.zeros(3), np.array([10.0, 0.0, 2.0 * np.pi]))
+    assert loop.strain(anchors) == pytest.approx(0.0, abs=1e-9)
+    moved = replace(loop, measured=np.array([10.3, -0.15, 0.02]))
+    assert moved.strain(anchors) == pytest.approx(4.0 + 1.0 + 4.0)
