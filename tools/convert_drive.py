@@ -6,7 +6,7 @@ from polemap.drivelog.atomic import check_file, check_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.folder import write_drive
-from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
+from polemap.drivelog.writers.kitti_odometry import kept_rows, write_kitti_odometry
 from polemap.extras import check_installed
 from polemap.tools.convert import Request
 from polemap.tools.progress import progress
@@ -46,6 +46,12 @@ def _lost_in_kitti(drive: Drive) -> list[str]:
              "KITTI's own car (1.03 m ahead of the rear axle, 1.65 m above the road)"]  # fmt: skip
     if lost:
         lines.append(f"the KITTI layout has no place for {', '.join(lost)}: left out")
+    pairs, kept = len(drive.frame_stamps_s), len(kept_rows(drive))
+    if kept < pairs:
+        lines.append(
+            f"the reference knows no pose at {pairs - kept} of {pairs} pictures: left out, "
+            "since KITTI has a pose for each"
+        )
     if drive.reference is None:
         lines.append("the drive has no reference: no poses beside the sequence")
     return lines

@@ -46,25 +46,28 @@ def write_kitti_odometry(
 ) -> Path:
     """Writes a drive as sequence `sequence` under a new folder `root`; returns the sequence folder.
 
+    Pairs at which the reference knows no pose are left out: KITTI has a pose for each.
+
     Args:
         poles_m: `(n, 2)` in the drive's frame, for poles/SS.csv; needs a reference.
         advance: called with 1 after every pair of pictures.
 
     Raises:
-        ConfigError: the drive lacks images, its pictures are not 8 bit, or its reference does not
-            cover every picture.
+        ConfigError: the drive lacks images, its pictures are not 8 bit, or its reference covers
+            less than two of them.
         OutputError: the place cannot be written to.
     """
     if drive.rig is None or not drive.has_frames:
         raise ConfigError(f"drive {drive.name}: the KITTI layout needs images; write a folder")
+    rows = kept_rows(drive)
+    stamps = drive.frame_stamps_s[rows]
     cameras = None
     if drive.reference is not None:
-        cameras = camera_poses(picture_poses(drive), drive.rig)
+        cameras = camera_poses(drive.reference.at(stamps), drive.rig)
     with atomic_folder(root, "drive") as folder:
         place = folder / "sequences" / sequence
-        write_pairs(drive, (place / "image_0", place / "image_1"), 6, advance)
-        times = drive.frame_stamps_s - drive.frame_stamps_s[0]
-        np.savetxt(place / "times.txt", times, fmt="%.6e")
+        write_pairs(drive, (place / "image_0", place / "image_1"), 6, advance, rows)
+        np.savetxt(place / "times.txt", stamps - stamps[0], fmt="%.6e")
         (place / "calib.txt").write_text(_calibration(drive.rig), encoding="utf-8")
         if cameras is not None:
             (folder / "poses").mkdir()
@@ -77,6 +80,24 @@ def write_kitti_odometry(
                     fmt="%.4f", delimiter=",", header="x_m,y_m", comments="",
                 )  # fmt: skip
     return Path(root) / "sequences" / sequence
+
+
+def kept_rows(drive: Drive) -> NDArray[np.int64]:
+    """Rows of the pairs that KITTI can hold: those with a pose, or all without a reference.
+
+    Raises:
+        ConfigError: fewer than two have a pose.
+    """
+    rows = np.arange(len(drive.frame_stamps_s))
+    if drive.reference is None:
+        return rows
+    kept = rows[np.isfinite(drive.reference.at(drive.frame_stamps_s)).all(axis=1)]
+    if len(kept) < 2:
+        raise ConfigError(
+            f"drive {drive.name}: the reference knows a pose at {len(kept)} of {len(rows)} "
+            "pictures, and KITTI has one for each; check the stamps, or leave the reference away"
+        )
+    return kept
 
 
 def picture_poses(drive: Drive) -> Floats:
@@ -103,16 +124,17 @@ def write_pairs(
     sides: tuple[Path, Path],
     digits: int,
     advance: Callable[[int], None] | None = None,
+    rows: NDArray[np.int64] | None = None,
 ) -> None:
-    """Writes all pairs as numbered PNGs into two new folders.
+    """Writes pairs, all or those of some rows, as numbered PNGs into two new folders.
 
     Raises:
         ConfigError: the pictures are not 8 bit.
     """
     for side in sides:
         side.mkdir(parents=True)
-    for row in range(len(drive.frame_stamps_s)):
-        frame = drive.read_frame(row)
+    for number, row in enumerate(range(len(drive.frame_stamps_s)) if rows is None else rows):
+        frame = drive.read_frame(int(row))
         for side, image in zip(sides, (frame.left, frame.right), strict=True):
             if image.dtype != np.uint8:
                 raise ConfigError(
@@ -122,7 +144,7 @@ def write_pairs(
             done, data = cv2.imencode(".png", image)
             if not done:
                 raise InputError(f"{side}: picture {row} cannot be encoded")
-            (side / f"{row:0{digits}d}.png").write_bytes(data.tobytes())
+            (side / f"{number:0{digits}d}.png").write_bytes(data.tobytes())
         if advance is not None:
             advance(1)
 

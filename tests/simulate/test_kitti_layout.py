@@ -10,7 +10,7 @@ import pytest
 
 from polemap.drivelog.errors import ConfigError
 from polemap.drivelog.readers.registry import open_drive
-from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
+from polemap.drivelog.writers.kitti_odometry import kept_rows, write_kitti_odometry
 from polemap.map.io import read_map
 from polemap.simulate.camera_mounting import kitti_camera
 from polemap.simulate.config import SimulateConfig
@@ -103,6 +103,23 @@ def test_what_the_layout_cannot_hold_is_refused(
     with pytest.raises(ConfigError, match="8-bit pictures"):
         write_kitti_odometry(drive, tmp_path / "kitti")
     assert drive.reference is not None
-    late = replace(drive, reference=drive.reference.take(drive.reference.stamp_s > 5))
-    with pytest.raises(ConfigError, match=r"does not cover every picture \(\d+ of"):
-        write_kitti_odometry(late, tmp_path / "kitti")
+    gone = replace(drive, reference=drive.reference.take(drive.reference.stamp_s < -5))
+    with pytest.raises(ConfigError, match=r"knows a pose at 0 of \d+ pictures"):
+        write_kitti_odometry(gone, tmp_path / "kitti")
+
+
+def test_pairs_without_a_pose_are_left_out(
+    tmp_path: Path, street: Scenario, small: SimulateConfig
+) -> None:
+    drive = open_drive(simulate_drive(street, tmp_path / "plain", 1, 4, small))
+    assert drive.reference is not None
+    middle = float(np.median(drive.frame_stamps_s))
+    late = replace(drive, reference=drive.reference.take(drive.reference.stamp_s > middle))
+    rows = kept_rows(late)
+    assert 2 <= len(rows) < len(drive.frame_stamps_s)
+    back = open_drive(write_kitti_odometry(late, tmp_path / "kitti"))
+    assert len(back.frame_stamps_s) == len(rows)
+    for new, old in enumerate(rows):
+        np.testing.assert_array_equal(back.read_frame(new).left, drive.read_frame(int(old)).left)
+    stamps = drive.frame_stamps_s[rows]
+    np.testing.assert_allclose(np.diff(back.frame_stamps_s), np.diff(stamps), atol=1e-5)
