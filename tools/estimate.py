@@ -19,25 +19,28 @@ from polemap.drivelog.errors import ConfigError, InputError
 from polemap.electric.clock_rate import StretchedClock, stretched_clock
 from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
 from polemap.electric.config import EstimatorConfig
-from polemap.electric.estimators.base import GPS
+from polemap.electric.estimators.base import GPS, Estimator
 from polemap.electric.estimators.registry import known_estimators, make_estimator
 from polemap.electric.gaps import find_gaps, play_parts, settled
 from polemap.electric.io import gps_from_truth, read_signal_log
 from polemap.electric.lanes import camera_settings
 from polemap.electric.plausibility import check_log
 from polemap.electric.signals import Played, SignalLog
+from polemap.electric.watched import Record, Watched
 from polemap.set_option import parse_set_option
 from polemap.settings import first_problem, read_tree
 from polemap.tools.findings import require_plausible
 from polemap.tools.identification import identify_car
 from polemap.tools.lanes import drive_signals
-from polemap.tools.option_types import ForceOption
+from polemap.tools.option_types import ForceOption, PageOption, page_possible
 from polemap.tools.progress import progress
 from polemap.vehicle.io import car_names, load_car
 from polemap.vehicle.motion import sideslip_at
 from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
+INNOVATIONS = 4000
+"""Of the gyro so many are looked at for the page."""
 SETTLED_S = 2.0
 """Scoring starts this long after the first row and after a gap: no filter knows its start."""
 
@@ -82,6 +85,7 @@ def command(
         list[str] | None, typer.Option("--set", help="One setting, such as gyro_sd_radps=0.01.")
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the derived GPS noise.")] = 0,
+    page: PageOption = True,
     force: ForceOption = False,
     listed: Annotated[bool, typer.Option("--list", help="List estimators and cars.")] = False,
 ) -> None:
@@ -89,7 +93,7 @@ def command(
 
     Late values come when their arrival column says. Columns that are not known are ignored with
     a note. With a side-slip reference in the log one JSON line of errors goes to stdout; they
-    count from two seconds after the first row.
+    count from two seconds after the first row. A page of pictures (NAME.html) goes beside --out.
 
     Examples:
         polemap estimate --list
@@ -138,13 +142,42 @@ def command(
         heard = _with_gps(heard, config, seed)
         # the antenna of a GPS that is made from the reference sits where the reference does
         car = replace(car, gps_point_m=car.sideslip_point_m)
-    played = run_estimator(estimator, heard, car, config, log)
+    shown = out.with_suffix(".html") if page and page_possible() else None
+    if shown is not None:
+        check_file(shown, (log, vehicle, mapping, config_file, out))
+    record = None if shown is None else Record()
+    in_time = played = run_estimator(estimator, heard, car, config, log, record)
     if clock is not None:
         played = clock.at_rows(played, signals)
     write_estimates(played, out)
     scores = score(estimator, played, signals, car, scored_from_s)
     if scores:
         sys.stdout.write(json.dumps(scores) + "\n")
+    if shown is not None and record is not None:
+        # a stretched clock's page is in real time, as the estimator ran
+        write_page(shown, estimator, car, heard, in_time, record, scores)
+
+
+def write_page(
+    out: Path,
+    estimator: str,
+    car: Car,
+    log: SignalLog,
+    played: Played,
+    record: Record,
+    scores: dict[str, object],
+) -> None:
+    """The page beside the estimates."""
+    # matplotlib is an extra: only who wants the page imports it
+    from polemap.tools.report.signals_page import estimate_section, render_signals
+
+    slip = None
+    if log.has("sideslip_rad") and "sideslip_rad" in played.fields:
+        slip = at_reference(estimator, played, log, car)
+    section = estimate_section(estimator, log, played, slip, record, scores)
+    with atomic_file(out) as part:
+        part.write_text(render_signals(section.title, [section]), encoding="utf-8")
+    sys.stderr.write(f"wrote {out}\n")
 
 
 def _with_gps(signals: SignalLog, config: EstimatorConfig, seed: int) -> SignalLog:
@@ -178,9 +211,14 @@ def _read(log: Path, mapping: Path | None, car: Car) -> tuple[SignalLog, float]:
 
 
 def run_estimator(
-    name: str, signals: SignalLog, car: Car, config: EstimatorConfig, place: Path
+    name: str,
+    signals: SignalLog,
+    car: Car,
+    config: EstimatorConfig,
+    place: Path,
+    record: Record | None = None,
 ) -> Played:
-    """Play a log to an estimator, with a progress bar.
+    """Play a log to an estimator, with a progress bar; `record` takes what it heard.
 
     Raises:
         InputError: the log lacks a sensor that the estimator lives on.
@@ -190,9 +228,15 @@ def run_estimator(
     if missing or (entry.late and not kinds.intersection(entry.late)):
         lacking = missing[0] if missing else " or ".join(entry.late)
         raise InputError(f"{place}: {name} needs {lacking} and the log has no such signal")
+    every = max(1, len(signals) // INNOVATIONS)
+
+    def make() -> Estimator:
+        made = make_estimator(name, car, config)
+        return made if record is None else Watched(made, config, record, every)
+
     with progress(len(signals), f"{name}") as advance:
         played, dropped = play_parts(
-            lambda: make_estimator(name, car, config),
+            make,
             signals,
             steering_offset_rad=car.steering_offset_rad,
             steering_scale=car.steering_scale,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from polemap.drivelog.errors import ConfigError
+from polemap.extras import MissingExtraError, check_installed
 
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="YAML file that overrides defaults.")
@@ -32,6 +34,9 @@ ForceOption = Annotated[
 TopicsOption = Annotated[
     Path | None,
     typer.Option("--topics", help="Mapping of a log's topics (info --write-mapping writes one)."),
+]
+PageOption = Annotated[
+    bool, typer.Option("--page/--no-page", help="Write a page of pictures (HTML).")
 ]
 LapOption = Annotated[
     str | None, typer.Option("--lap", help="Keep to a row of laps.csv, or to FIRST:LAST.")
@@ -58,3 +63,14 @@ def frame_range(text: str, count: int) -> range:
     if start >= count:
         raise ConfigError(f"--frames {text}: the drive has {count} frames")
     return range(start, min(stop, count))
+
+
+def page_possible() -> bool:
+    """Whether pages can be drawn; one line says what is missing where they cannot."""
+    try:
+        for module in ("matplotlib", "jinja2"):
+            check_installed(module)
+    except MissingExtraError as error:
+        sys.stderr.write(f"note: no page: {error}\n")
+        return False
+    return True

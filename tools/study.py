@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from polemap.drivelog.atomic import atomic_file, atomic_folder, check_folder
+from polemap.drivelog.atomic import atomic_file, atomic_folder, check_file, check_folder
 from polemap.drivelog.errors import ConfigError
 from polemap.electric.studies.papers import STUDIES
 from polemap.electric.studies.study import Study
 from polemap.extras import check_installed, need
 from polemap.parsing.json_text import plain_values
 from polemap.simulate.closed_loop.registry import LOOP_STUDIES
+from polemap.tools.option_types import PageOption, page_possible
 from polemap.tools.progress import progress
 from polemap.vehicle.io import load_car
 
@@ -47,13 +48,15 @@ def command(
         list[str] | None,
         typer.Option("--estimator", help="Closed loops: close it behind this one; repeatable."),
     ] = None,
+    page: PageOption = True,
 ) -> None:
     """Rerun a source paper's simulation and set our figures beside its claims.
 
     Ratios and orderings are compared, since the papers print no noise and no steering amplitude.
     The column errata holds what an independent simulation of the corrected equations gave. The
     closed loops run the controllers on a two-track car behind estimators, or a car that steers
-    along a path by the localizer's pose.
+    along a path by the localizer's pose. A page of tables and pictures is written: study.html in
+    the folder of --out, or study_NAME.html here.
 
     Examples:
         polemap study W14
@@ -72,16 +75,40 @@ def command(
     if out is not None:
         check_installed("matplotlib")
         check_folder(out, "study", (vehicle,))
-    results = []
+    shown = page and page_possible()
+    beside = Path(f"study_{name}.html") if shown and out is None else None
+    if beside is not None:
+        check_file(beside, (vehicle,))
+    results, sections = [], []
     for each in chosen:
         result, count = _run(each, vehicle, seeds, tuple(estimator or ()))
         results.append(result)
+        if shown:
+            sections.append((result, count))
         sys.stdout.write(table(result, count) + "\n")
         sys.stdout.flush()
     if out is not None:
         with atomic_folder(out, "study") as folder:
             for result in results:
                 write_study(result, folder)
+            if sections:
+                write_page(folder / "study.html", sections)
+        if sections:
+            sys.stderr.write(f"wrote {out / 'study.html'}\n")
+    elif beside is not None:
+        write_page(beside, sections)
+        sys.stderr.write(f"wrote {beside}\n")
+
+
+def write_page(out: Path, studies: list[tuple[Study, int]]) -> None:
+    """Tables and pictures of studies with their seeds, in one page."""
+    # matplotlib is an extra: only who wants the page imports it
+    from polemap.tools.report.signals_page import render_signals, study_section
+
+    sections = [study_section(study, seeds) for study, seeds in studies]
+    title = sections[0].title if len(sections) == 1 else "The papers' studies"
+    with atomic_file(out) as part:
+        part.write_text(render_signals(title, sections), encoding="utf-8")
 
 
 def _run(

@@ -41,7 +41,7 @@ class FeedForwardSchedule:
     denominator vanishes the moment does not move the steady side-slip; below the kinematic limit
     that speed's gain holds.
 
-    Source: W14 (24) with errata.md, 2DOF slip control.
+    Source: W14 (24) with errata.md, Body-slip control.
     """
 
     def __init__(self, car: Car) -> None:

@@ -7,7 +7,7 @@ import hashlib
 from dataclasses import dataclass
 from importlib.resources import files
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 
 from polemap.tools.report.interactive_map import InteractiveMap
 from polemap.tools.report.photos import Photo
@@ -62,19 +62,33 @@ def render_page(page: Page) -> str:
     content security policy allows no script but that one, by its hash.
     """
     templates = files("polemap.tools.report") / "templates"
-    light, dark = theme_css()
-    css = (templates / "page.css").read_text(encoding="utf-8")
     script = (templates / "page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters["csv_address"] = _csv_address
-    template = environment.from_string((templates / "report.html.j2").read_text(encoding="utf-8"))
+    template = page_environment().get_template("report.html.j2")
     return template.render(
-        css=css.replace("@LIGHT@", light).replace("@DARK@", dark),
+        css=style_sheet(),
         script=script,
         script_hash=f"sha256-{digest}",
         **{name: getattr(page, name) for name in Page.__dataclass_fields__},
     )
+
+
+def page_environment() -> Environment:
+    """Renders this package's templates; every text is escaped."""
+    templates = files("polemap.tools.report") / "templates"
+    loader = FunctionLoader(lambda name: (templates / name).read_text(encoding="utf-8"))
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["csv_address"] = _csv_address
+    return environment
+
+
+def style_sheet() -> str:
+    """The style of every page, light and dark."""
+    light, dark = theme_css()
+    css = (files("polemap.tools.report") / "templates" / "page.css").read_text(encoding="utf-8")
+    return css.replace("@LIGHT@", light).replace("@DARK@", dark)
 
 
 def _csv_address(table: Table) -> str:
