@@ -7,7 +7,13 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.localize.config import PolesConfig
-from polemap.localize.particle_filter.detector_fit import Look, Stretch, StretchFit
+from polemap.localize.particle_filter.detector_fit import (
+    TOLERANCE,
+    Change,
+    Look,
+    Stretch,
+    StretchFit,
+)
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.pole_weigher import independent_share
 from polemap.vehicle.pose import transform_points
@@ -27,13 +33,19 @@ _LEAST_LOOKS = 8
 _MOST_POLES = 8
 # a pose that is wrong by this much still finds its poles
 _MATCH_M = 2.0
-# a calibration is as good as this in use: 0.5 degrees, 2 %, 0.1 s (of a recording that is held
-# good, Victoria Park, the laser's stamps are 0.07 s off)
-_TOLERANCE = np.array([0.0087, 0.02, 0.1])
 # besides what the fit states, sd of what no column explains: side-slip that comes and goes makes
 # 0.3 degrees on Victoria Park
 _UNEXPLAINED = np.array([0.0052, 0.01, 0.02])
 _SETTLED_SD, _SETTLED_M = 1.0, 20.0
+# a change at one place is asked for more, since there are many places; what is less sure widens the
+# pose, from the first of these excesses on and at the second in full
+_CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
+# how far the poles are that hold a pose: a turn moves it aside by as much of this
+_REACH_M = 15.0
+# after a contradiction the calibration is acquitted when it lies within these by two standard
+# deviations, or when nothing has spoken against it on so long a way (where the car goes straight on
+# at one speed, stamps show nowhere)
+_ACQUITTED, _ACQUITTED_SD, _LAPSE_M = np.array([0.028, 0.05, 0.2]), 2.0, 120.0
 
 
 class DetectorCheck:
@@ -43,7 +55,11 @@ class DetectorCheck:
     standard deviations (3 and 3.5 in the short ones) in any of five stretches. It is over when the
     longest stretch excludes what was found, and finds nothing itself, for 20 m. Of a detector that
     is as wrong as is tolerated a stretch says so once in 160 times, of one that is right hardly
-    ever.
+    ever. A change within the last 80 m must exceed it by 3.5.
+
+    When poles contradict the odometry or the place, either side may be wrong. Then the looks from
+    there on must speak for the calibration before the pose is trusted again (`suspect`). Of a start
+    only the ranges are asked, which a handful of poles show.
 
     Attributes:
         fit: of the longest stretch at the last look; None before the first.
@@ -55,7 +71,23 @@ class DetectorCheck:
         self._fitted_m = -np.inf
         # which of `KINDS` is wrong, by how much, and since where that is refuted
         self._kind, self._found, self._sound_since_m = -1, 0.0, np.inf
+        self._unproven = np.array([False, True, False])
+        self._unproven_since_m: float | None = None
+        self._hint = np.zeros(len(KINDS))
+        self._speed_mps = 0.0
         self.fit: StretchFit | None = None
+
+    @property
+    def acquitted(self) -> bool:
+        """Whether no contradiction is left that the detector may be to blame for."""
+        return not self._unproven.any()
+
+    @property
+    def hinted_sd(self) -> tuple[float, float]:
+        """What the pose may be off by, m and rad, for an error that is likely but not proven."""
+        turn, scale, seconds = np.abs(self._hint)
+        sd_m = np.hypot(_REACH_M * np.hypot(turn, scale), seconds * self._speed_mps)
+        return float(sd_m), float(turn)
 
     @property
     def contradicts(self) -> str:
@@ -66,6 +98,13 @@ class DetectorCheck:
         """The path was broken: a new place, or an odometry in doubt. What was found stands."""
         self._looks.clear()
         self._fitted_m = -np.inf
+        self._hint = np.zeros(len(KINDS))
+
+    def suspect(self) -> None:
+        """Poles contradict the place or the odometry: what was seen before proves nothing now."""
+        self.forget()
+        self._unproven[:] = True
+        self._unproven_since_m = None
 
     def add_scan(
         self,
@@ -101,6 +140,7 @@ class DetectorCheck:
         if travelled_m - self._fitted_m < _INTERVAL_M:
             return False
         self._fitted_m = travelled_m
+        self._speed_mps = abs(rates[0])
         return self._judge(pose, travelled_m)
 
     def _judge(self, pose: Floats, travelled_m: float) -> bool:
@@ -108,34 +148,69 @@ class DetectorCheck:
         ways = np.repeat(
             [look.travelled_m for look in looks], [len(look.map_points_m) for look in looks]
         )
-        worst, kind, stretch = 0.0, -1, None
-        sound = True
+        if np.count_nonzero(ways >= travelled_m - max(_STRETCHES_M)) < _LEAST_LOOKS:
+            self._sound_since_m = np.inf
+            return False
+        stretch = Stretch(looks, pose)
+        self._hint = np.zeros(len(KINDS))
+        change = stretch.change()
+        if change is not None and self._changed(change):
+            # what was seen before the change is of another detector
+            del looks[: change.look]
+            return self._accuse(change.kind, change.value)
+        worst, kind, found = 0.0, -1, 0.0
+        sound, proven = True, np.zeros(len(KINDS), dtype=np.bool_)
         for length_m, limit_sd in _STRETCHES_M.items():
             since_m = travelled_m - length_m
             if np.count_nonzero(ways >= since_m) < _LEAST_LOOKS:
                 continue
-            stretch = stretch or Stretch(looks, pose)
             fit = self.fit = stretch.fit(since_m)
             sd = np.hypot(fit.sd, _UNEXPLAINED)
-            excess = (np.abs(fit.values) - _TOLERANCE) / sd
+            excess = (np.abs(fit.values) - TOLERANCE) / sd
             if excess.max() - limit_sd > worst:
                 worst, kind = float(excess.max()) - limit_sd, int(excess.argmax())
                 found = float(fit.values[kind])
+            self._note_hint(fit.values, excess)
+            proven |= np.abs(fit.values) + _ACQUITTED_SD * sd <= _ACQUITTED
             sound = bool(excess.max() < _SETTLED_SD) and (
                 self._kind < 0
                 or abs(fit.values[self._kind] - self._found) > limit_sd * sd[self._kind]
             )
         if kind >= 0:
-            begins, self._kind, self._found = self._kind < 0, kind, found
-            self._sound_since_m = np.inf
-            return begins
-        if stretch is None or not sound:
+            return self._accuse(kind, found)
+        self._acquit(proven, travelled_m)
+        if not sound:
             self._sound_since_m = np.inf
         else:
             self._sound_since_m = min(self._sound_since_m, travelled_m)
             if travelled_m - self._sound_since_m >= _SETTLED_M:
                 self._kind = -1
         return False
+
+    def _changed(self, change: Change) -> bool:
+        sd = np.hypot(change.sd, _UNEXPLAINED[change.kind])
+        excess = (abs(change.value) - TOLERANCE[change.kind]) / sd
+        values = np.zeros(len(KINDS))
+        values[change.kind] = change.value
+        self._note_hint(values, excess)
+        return bool(excess > _CHANGE_SD)
+
+    def _note_hint(self, values: Floats, excess: Floats) -> None:
+        low, high = _HINT_SD
+        hint = np.clip((excess - low) / (high - low), 0.0, 1.0) * np.abs(values)
+        self._hint = np.maximum(self._hint, hint)
+
+    def _accuse(self, kind: int, found: float) -> bool:
+        begins, self._kind, self._found = self._kind < 0, kind, found
+        self._sound_since_m = np.inf
+        return begins
+
+    def _acquit(self, proven: NDArray[np.bool_], travelled_m: float) -> None:
+        if self._unproven_since_m is None:
+            self._unproven_since_m = travelled_m
+        self._unproven &= ~proven
+        if travelled_m - self._unproven_since_m > _LAPSE_M:
+            self._unproven[:] = False
 
 
 def _matched(

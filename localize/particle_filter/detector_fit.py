@@ -29,6 +29,15 @@ _CALIBRATION_SD = (0.012, 0.02, 0.1)
 _POLE_SD_M, _DETECTION_SD_M = 0.05, 0.03
 # of Huber's loss, in standard deviations of a detection; rounds of reweighting
 _HUBER, _ROUNDS = 2.5, 3
+TOLERANCE = np.array([0.0087, 0.02, 0.1])
+"""A calibration is as good as this in use: 0.5 degrees, 2 %, 0.1 s (of a recording that is held good,
+Victoria Park, the laser's stamps are 0.07 s off)."""
+# heading that the odometry may lose at one place, rad, and as a share of what it turns within this;
+# in a bend the car's middle and its wheels slip as no column says: 0.1 rad at a radius of 1 m
+_JUMP_RAD, _JUMP_SHARE, _NEAR_M = 0.0035, 0.05, 5.0
+_BEND_RADM = 0.1
+# a change is told by so many poles on either side, after it in so many scans
+_LEAST_POLES, _LEAST_SCANS = 4, 3
 _FIRST = len(_PLACE_SD) + len(_ODOMETRY_SD)
 _COMMON = _FIRST + len(_CALIBRATION_SD)
 
@@ -74,6 +83,43 @@ class StretchFit:
     looks: int
 
 
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A change of the calibration at one place.
+
+    Attributes:
+        look: index of the first scan after it.
+        kind: what has changed, as the columns of `StretchFit.values`.
+        value, sd: by how much.
+    """
+
+    look: int
+    kind: int
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """A robust solution: values, covariance, weights and residuals of the rows, their scatter."""
+
+    values: Floats
+    covariance: Floats
+    weight: Floats
+    rest: Floats
+    scatter: float
+
+    def of(self, chosen: slice, prior: Floats) -> StretchFit:
+        """Some of the values; what the prior alone knows of each is taken out again."""
+        variance = np.diag(self.covariance)[chosen]
+        alone = 1.0 / np.maximum(1.0 / variance - prior[chosen], 1e-12)
+        return StretchFit(
+            alone * self.values[chosen] / variance,
+            np.sqrt(alone) * max(1.0, self.scatter),
+            len(self.rest),
+        )
+
+
 class Stretch:
     """The normal equations of the last scans, for as many of the newest as one likes.
 
@@ -89,6 +135,7 @@ class Stretch:
         # a pole is known by its place: rows are of a window that may have moved on
         poles, column = np.unique(mapped, axis=0, return_inverse=True)
         column = column.ravel()
+        self._k, self._looks = k, len(looks)
         self._travelled_m = np.array([look.travelled_m for look in looks])[k]
         self._share = np.array([look.share for look in looks])[k]
         path = _path_to(pose, np.array([look.odometry_pose for look in looks]))
@@ -103,10 +150,9 @@ class Stretch:
         design[:, :, :2] = -map_to_car
         design[:, :, 2] = -np.einsum("nij,nj->ni", map_to_car, _left_of(mapped - pose[:2]))
         ways = np.array([look.travelled_m for look in looks]) - looks[-1].travelled_m
+        self._path, self._ways, self._map_to_car, self._aside = path, ways, map_to_car, aside
         for j, (yaw, moved) in enumerate(_bends(path, seconds, ways, speed * turn_rate)):
-            design[:, :, len(_PLACE_SD) + j] = (
-                -np.einsum("nij,nj->ni", map_to_car, moved[k]) - yaw[k, None] * aside
-            )
+            design[:, :, len(_PLACE_SD) + j] = self._bent(yaw, moved)
         design[:, :, _FIRST] = aside
         design[:, :, _FIRST + 1] = expected
         design[:, :, _FIRST + 2] = -turn_rate[k, None] * aside
@@ -132,25 +178,86 @@ class Stretch:
         Source: Huber, Robust Statistics, chapter 7; the scatter's factor as Birge (1932).
         """
         kept = self._travelled_m >= since_m
-        design, target = self._design[kept], self._target[kept]
-        share = self._share[kept]
+        solved = self._solve(kept, self._design[kept], self._prior)
+        return solved.of(slice(_FIRST, _COMMON), self._prior)
+
+    def _solve(self, kept: NDArray[np.bool_], design: Floats, prior: Floats) -> _Solved:
+        target, share = self._target[kept], self._share[kept]
         weight = np.ones(len(target))
         flat = design.reshape(-1, design.shape[2])
         scatter = 1.0
         for _ in range(_ROUNDS):
             weighted = design * (share * weight)[:, None, None]
-            covariance = np.linalg.inv(weighted.reshape(flat.shape).T @ flat + np.diag(self._prior))
+            covariance = np.linalg.inv(weighted.reshape(flat.shape).T @ flat + np.diag(prior))
             values = covariance @ (weighted.reshape(flat.shape).T @ target.ravel())
             rest = np.hypot(*(target - design @ values).T)
             weight = np.minimum(1.0, _HUBER / np.maximum(rest, 1e-9))
             scatter = float(np.sqrt(0.5 * np.mean(np.minimum(rest, 2.0 * _HUBER) ** 2)))
-        chosen = slice(_FIRST, _COMMON)
-        variance = np.diag(covariance)[chosen]
-        # what the prior alone knows of each is taken out again
-        alone = 1.0 / np.maximum(1.0 / variance - self._prior[chosen], 1e-12)
-        return StretchFit(
-            alone * values[chosen] / variance, np.sqrt(alone) * max(1.0, scatter), len(target)
-        )
+        return _Solved(values, covariance, share * weight, target - design @ values, scatter)
+
+    def change(self) -> Change | None:
+        """The change of the calibration that fits best; None where no scan has poles enough on
+        either side of it.
+
+        Where it lies, and what changes, is found by the score test; by how much, by a fit that
+        grants the odometry the loss of some heading at the same place.
+
+        Source: Rao's score test; Andrews (1993), "Tests for parameter instability and structural
+        change with unknown change point", Econometrica 61.
+        """
+        every = np.ones(len(self._k), dtype=np.bool_)
+        solved = self._solve(every, self._design, self._prior)
+        poles = np.cumsum(np.bincount(self._k, minlength=self._looks))
+        scans = np.cumsum(np.bincount(self._k, minlength=self._looks) > 0)
+        # a change at a scan leaves those before it on the other side
+        before = np.append(0, poles[:-1])
+        enough = (before >= _LEAST_POLES) & (poles[-1] - before >= _LEAST_POLES)
+        enough &= scans[-1] - np.append(0, scans[:-1]) >= _LEAST_SCANS
+        places = np.flatnonzero(enough)
+        if not len(places):
+            return None
+        best, look, kind = -np.inf, 0, 0
+        for j in range(_FIRST, _COMMON):
+            column = self._design[:, :, j]
+            score = self._since(solved.weight * np.einsum("ni,ni->n", column, solved.rest))
+            power = self._since(solved.weight * np.einsum("ni,ni->n", column, column))
+            ties = self._since(
+                solved.weight[:, None] * np.einsum("nip,ni->np", self._design, column)
+            )
+            power = power - np.einsum("lp,pq,lq->l", ties, solved.covariance, ties)
+            power = np.maximum(power, 1e-9)
+            excess = (np.abs(score / power) - TOLERANCE[j - _FIRST]) * np.sqrt(power)
+            at = int(places[excess[places].argmax()])
+            if excess[at] > best:
+                best, look, kind = float(excess[at]), at, j - _FIRST
+        return self._changed(look, kind)
+
+    def _changed(self, look: int, kind: int) -> Change:
+        step = np.where((self._k >= look)[:, None], self._design[:, :, _FIRST + kind], 0.0)
+        before = np.arange(self._looks) < look
+        back = np.where(before[:, None], _left_of(self._path[:, :2] - self._path[look, :2]), 0.0)
+        lost = self._bent(before.astype(np.float64), back)
+        design = np.concatenate([self._design, lost[:, :, None], step[:, :, None]], axis=2)
+        near = np.abs(self._ways - self._ways[look]) <= _NEAR_M
+        bend = float(np.ptp(self._path[near, 2]))
+        lost_sd = np.hypot(_JUMP_RAD, _JUMP_SHARE * bend)
+        sd = 10.0 * _CALIBRATION_SD[kind]
+        prior = np.append(self._prior, [1.0 / lost_sd**2, 1.0 / sd**2])
+        every = np.ones(len(self._k), dtype=np.bool_)
+        fit = self._solve(every, design, prior).of(slice(len(prior) - 1, len(prior)), prior)
+        slip = _BEND_RADM * bend / (2.0 * _NEAR_M) if kind == 0 else 0.0
+        return Change(look, kind, float(fit.values[0]), float(np.hypot(fit.sd[0], slip)))
+
+    def _bent(self, yaw: Floats, moved: Floats) -> Floats:
+        """Rows `(n, 2)` of an error that changes yaw `(m,)` and place `(m, 2)` of the scans."""
+        turned = -yaw[self._k, None] * self._aside
+        return np.asarray(turned - np.einsum("nij,nj->ni", self._map_to_car, moved[self._k]))
+
+    def _since(self, rows: Floats) -> Floats:
+        """Sums over the scans from each one on, of values of the rows."""
+        total = np.zeros((self._looks, *rows.shape[1:]))
+        np.add.at(total, self._k, rows)
+        return np.cumsum(total[::-1], axis=0)[::-1]
 
 
 def _left_of(vectors: Floats) -> Floats:

@@ -343,14 +343,20 @@ class ParticleFilter:
             if strange.contradict and not before:
                 self.counts["poles_contradict"] += 1
                 self._recovery.proof.doubt()
+                self._detector.suspect()
         unmatched |= strange.contradict
         self._check_detector(scan, event, pose, step)
+        hint_m, hint_rad = self._detector.hinted_sd
+        if hint_m > 0.0:
+            spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
         opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
+        if opinion == "contradicted":
+            self._detector.suspect()
         settled = self._recovery.proof.proven and len(modes) == 1
         narrow = major <= config.health.sd_max_m
         usable = settled and narrow and self._recovery.lost.fits and not unmatched
         healthy = usable and not self._odometry.doubted and opinion != "contradicted"
-        healthy &= not self._detector.contradicts
+        healthy &= self._detector.acquitted and not self._detector.contradicts
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,
@@ -371,7 +377,7 @@ class ParticleFilter:
         )
         return PfEstimate(
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event,
-            usable, opinion, self._detector.contradicts,
+            usable, opinion, self._detector.contradicts or "unproven" * (not self._detector.acquitted),
         )  # fmt: skip
 
     def _check_detector(
@@ -380,6 +386,8 @@ class ParticleFilter:
         check = self._detector
         if self._odometry.doubted or event in ("initialized", "reinitialized"):
             check.forget()
+            if event == "reinitialized":
+                check.suspect()
         elif self._recovery.proof.proven:
             rates = self._history.rates_at(scan.stamp_s)
             if check.add_scan(
