@@ -55,11 +55,12 @@ def reject(
     """
     counts = state.counts._replace(gate_rejections=state.counts.gate_rejections + 1)
     here = state.mean[:3]
-    rival = state.rival or Rival(state.stamp_s, event.pose, here)
+    rival = state.rival or Rival(state.stamp_s, event.pose, here, state.stamp_s)
     if not _coherent(rival, event, here, limit):
         # poses that do not even move as the car does are no place to go to
         counts = counts._replace(incoherent=counts.incoherent + 1)
-        rival = Rival(state.stamp_s, event.pose, here)
+        rival = Rival(state.stamp_s, event.pose, here, rival.first_s, rival.rejected)
+    rival = rival._replace(rejected=rival.rejected + 1)
     lasted = state.stamp_s - rival.since_s
     state = state._replace(counts=counts, rival=rival, nis=nis)
     if lasted < INFLATE_AFTER_S:

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from polemap.localize.config import HealthConfig
 from polemap.localize.gnss.ekf_update import HELD_S, WRONG_FIXES
-from polemap.localize.output_filter.failed_gate import INFLATE_AFTER_S
 from polemap.localize.output_filter.state import NEVER, FilterState
 
 Floats = NDArray[np.float64]
@@ -18,6 +17,8 @@ SILENT_AFTER_S = 0.5
 """Odometry is silent after so long; at town speed the car is then some metres further."""
 # fixes in a row, and how long; the errors of a fast receiver's fixes are alike for a moment
 _FIXES_AFTER_S = 0.5
+# poses in a row that fail the gate of 99.9 %, and how long; their errors are alike for a moment
+_REJECTED, _REJECTED_S = 2, 0.25
 # without a scan, or with poses that nobody offers, nothing checks odometry
 _UNCHECKED_AFTER_S = 5.0
 
@@ -41,7 +42,7 @@ def distrust(state: FilterState, stamp_s: float, covariance: Floats, config: Hea
         return "odometry_doubted"
     if stamp_s - state.odometry_s > SILENT_AFTER_S:
         return "odometry_silent"
-    if state.rival is not None and stamp_s - state.rival.since_s >= INFLATE_AFTER_S:
+    if _poses_rejected(state, stamp_s):
         return "poses_rejected"
     if fixes_disagree(state, stamp_s):
         return "fixes_disagree"
@@ -52,6 +53,18 @@ def distrust(state: FilterState, stamp_s: float, covariance: Floats, config: Hea
     if largest > config.sd_max_m**2 or covariance[2, 2] > _YAW_SD_MAX_RAD**2:
         return "spread"
     return ""
+
+
+def _poses_rejected(state: FilterState, stamp_s: float) -> bool:
+    """Whether poses have failed the gate for a while with none accepted in between.
+
+    They need not agree among themselves: of an odometry that goes wrong the filter is led on, and
+    the poses, which are right, do not move as it does.
+    """
+    rival = state.rival
+    if rival is None:
+        return False
+    return rival.rejected >= _REJECTED and stamp_s - rival.first_s >= _REJECTED_S
 
 
 def fixes_disagree(state: FilterState, stamp_s: float) -> bool:

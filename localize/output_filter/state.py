@@ -74,12 +74,16 @@ class Rival(NamedTuple):
 
     If both are led on by the same odometry, the rival is the first rejected pose moved as the
     filter has moved since. `evidence` is the sum over `fixes` GNSS fixes of how much better
-    (log-likelihood) the filter explains the fix than the rival does.
+    (log-likelihood) the filter explains the fix than the rival does. `first_s` is the stamp of the
+    first pose rejected since one was accepted, and `rejected` counts them, also where those between
+    did not agree among themselves.
     """
 
     since_s: float
     pose: Pose
     filter_pose: Pose
+    first_s: float
+    rejected: int = 0
     fixes: int = 0
     evidence: float = 0.0
 

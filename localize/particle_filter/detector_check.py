@@ -40,12 +40,17 @@ _SETTLED_SD, _SETTLED_M = 1.0, 20.0
 # a change at one place is asked for more, since there are many places; what is less sure widens the
 # pose, from the first of these excesses on and at the second in full
 _CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
+# a hint that is gone is forgotten by this factor at every fit
+_HINT_KEPT = 0.7
 # how far the poles are that hold a pose: a turn moves it aside by as much of this
 _REACH_M = 15.0
-# after a contradiction the calibration is acquitted when it lies within these by two standard
-# deviations, or when nothing has spoken against it on so long a way (where the car goes straight on
+# after a contradiction the calibration is acquitted when all looks since then say four times in a
+# row that it lies within these by two standard deviations, or when nothing has spoken against it on so long a way (where the car goes straight on
 # at one speed, stamps show nowhere)
 _ACQUITTED, _ACQUITTED_SD, _LAPSE_M = np.array([0.028, 0.05, 0.2]), 2.0, 120.0
+_ACQUITTED_FITS = 4
+# after a start a single fit of the ranges is enough
+_START_ACQUITTED = np.array([np.inf, 0.1, np.inf])
 
 
 class DetectorCheck:
@@ -72,7 +77,9 @@ class DetectorCheck:
         # which of `KINDS` is wrong, by how much, and since where that is refuted
         self._kind, self._found, self._sound_since_m = -1, 0.0, np.inf
         self._unproven = np.array([False, True, False])
+        self._bounds, self._fits_needed = _START_ACQUITTED, 1
         self._unproven_since_m: float | None = None
+        self._proven = np.zeros(len(KINDS), dtype=np.int64)
         self._hint = np.zeros(len(KINDS))
         self._speed_mps = 0.0
         self.fit: StretchFit | None = None
@@ -103,7 +110,12 @@ class DetectorCheck:
     def suspect(self) -> None:
         """Poles contradict the place or the odometry: what was seen before proves nothing now."""
         self.forget()
+        self._doubt()
+
+    def _doubt(self) -> None:
         self._unproven[:] = True
+        self._bounds, self._fits_needed = _ACQUITTED, _ACQUITTED_FITS
+        self._proven[:] = 0
         self._unproven_since_m = None
 
     def add_scan(
@@ -114,6 +126,8 @@ class DetectorCheck:
         odometry_pose: Floats,
         travelled_m: float,
         rates: tuple[float, float],
+        *,
+        proven: bool = True,
     ) -> bool:
         """Take in a scan; whether a contradiction has begun with it.
 
@@ -124,6 +138,7 @@ class DetectorCheck:
             odometry_pose: `(3,)` dead reckoned.
             travelled_m: way until then.
             rates: speed and yaw rate.
+            proven: whether the place is; before it is, looks are kept and nothing is judged.
         """
         looks = self._looks
         moved_m = travelled_m - looks[-1].travelled_m if looks else _APART_M
@@ -137,7 +152,7 @@ class DetectorCheck:
             or looks[0].stamp_s < scan.stamp_s - _LONGEST_S
         ):
             looks.pop(0)
-        if travelled_m - self._fitted_m < _INTERVAL_M:
+        if not proven or travelled_m - self._fitted_m < _INTERVAL_M:
             return False
         self._fitted_m = travelled_m
         self._speed_mps = abs(rates[0])
@@ -152,7 +167,7 @@ class DetectorCheck:
             self._sound_since_m = np.inf
             return False
         stretch = Stretch(looks, pose)
-        self._hint = np.zeros(len(KINDS))
+        self._hint = np.where(self._hint > 0.1 * TOLERANCE, _HINT_KEPT * self._hint, 0.0)
         change = stretch.change()
         if change is not None and self._changed(change):
             # what was seen before the change is of another detector
@@ -171,7 +186,7 @@ class DetectorCheck:
                 worst, kind = float(excess.max()) - limit_sd, int(excess.argmax())
                 found = float(fit.values[kind])
             self._note_hint(fit.values, excess)
-            proven |= np.abs(fit.values) + _ACQUITTED_SD * sd <= _ACQUITTED
+            proven = np.abs(fit.values) + _ACQUITTED_SD * sd <= self._bounds
             sound = bool(excess.max() < _SETTLED_SD) and (
                 self._kind < 0
                 or abs(fit.values[self._kind] - self._found) > limit_sd * sd[self._kind]
@@ -203,12 +218,15 @@ class DetectorCheck:
     def _accuse(self, kind: int, found: float) -> bool:
         begins, self._kind, self._found = self._kind < 0, kind, found
         self._sound_since_m = np.inf
+        # it is over when what was found is refuted; what else it may have been must be, too
+        self._doubt()
         return begins
 
     def _acquit(self, proven: NDArray[np.bool_], travelled_m: float) -> None:
-        if self._unproven_since_m is None:
+        if self._unproven_since_m is None or self._hint.any():
             self._unproven_since_m = travelled_m
-        self._unproven &= ~proven
+        self._proven = np.where(proven, self._proven + 1, 0)
+        self._unproven &= self._proven < self._fits_needed
         if travelled_m - self._unproven_since_m > _LAPSE_M:
             self._unproven[:] = False
 

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 # sd before the stretch is seen: place of it, m, and heading, rad; of the odometry the yaw rate's
 # offset, rad/s, and that of the curvature, 1/m (a steering that is not in its middle), the scales
 # of speed and turn, and the side-slip for a lateral acceleration, rad per m/s^2
-_PLACE_SD = (3.0, 3.0, 0.1)
+_PLACE_SD = (10.0, 10.0, 0.1)
 _ODOMETRY_SD = (0.004, 0.002, 0.03, 0.04, 0.005)
 # of the calibration: turn, rad, scale of the ranges, stamps, s
 _CALIBRATION_SD = (0.012, 0.02, 0.1)
@@ -36,8 +36,8 @@ Victoria Park, the laser's stamps are 0.07 s off)."""
 # in a bend the car's middle and its wheels slip as no column says: 0.1 rad at a radius of 1 m
 _JUMP_RAD, _JUMP_SHARE, _NEAR_M = 0.0035, 0.05, 5.0
 _BEND_RADM = 0.1
-# a change is told by so many poles on either side, after it in so many scans
-_LEAST_POLES, _LEAST_SCANS = 4, 3
+# a change is told by so many poles before and after it, in so many scans, and within so long a way
+_LEAST_BEFORE, _LEAST_POLES, _LEAST_SCANS, _RECENT_M = 8, 4, 3, 45.0
 _FIRST = len(_PLACE_SD) + len(_ODOMETRY_SD)
 _COMMON = _FIRST + len(_CALIBRATION_SD)
 
@@ -211,8 +211,9 @@ class Stretch:
         scans = np.cumsum(np.bincount(self._k, minlength=self._looks) > 0)
         # a change at a scan leaves those before it on the other side
         before = np.append(0, poles[:-1])
-        enough = (before >= _LEAST_POLES) & (poles[-1] - before >= _LEAST_POLES)
+        enough = (before >= _LEAST_BEFORE) & (poles[-1] - before >= _LEAST_POLES)
         enough &= scans[-1] - np.append(0, scans[:-1]) >= _LEAST_SCANS
+        enough &= self._ways >= -_RECENT_M
         places = np.flatnonzero(enough)
         if not len(places):
             return None

@@ -345,7 +345,8 @@ class ParticleFilter:
                 self._recovery.proof.doubt()
                 self._detector.suspect()
         unmatched |= strange.contradict
-        self._check_detector(scan, event, pose, step)
+        narrow = len(modes) == 1 and major <= PROVEN_SD_M
+        self._check_detector(scan, event, pose, step, narrow=narrow)
         hint_m, hint_rad = self._detector.hinted_sd
         if hint_m > 0.0:
             spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
@@ -357,6 +358,7 @@ class ParticleFilter:
         usable = settled and narrow and self._recovery.lost.fits and not unmatched
         healthy = usable and not self._odometry.doubted and opinion != "contradicted"
         healthy &= self._detector.acquitted and not self._detector.contradicts
+        healthy &= bool(np.hypot(major, hint_m) <= config.health.sd_max_m)
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,
@@ -381,16 +383,17 @@ class ParticleFilter:
         )  # fmt: skip
 
     def _check_detector(
-        self, scan: Detections, event: Event | None, pose: Floats, step: Step
+        self, scan: Detections, event: Event | None, pose: Floats, step: Step, *, narrow: bool
     ) -> None:
         check = self._detector
         if self._odometry.doubted or event in ("initialized", "reinitialized"):
             check.forget()
             if event == "reinitialized":
                 check.suspect()
-        elif self._recovery.proof.proven:
+        elif (proven := self._recovery.proof.proven) or narrow:
             rates = self._history.rates_at(scan.stamp_s)
             if check.add_scan(
-                scan, self._landmarks, pose, step.odometry_pose, step.travelled_m, rates
-            ):
+                scan, self._landmarks, pose, step.odometry_pose, step.travelled_m, rates,
+                proven=proven,
+            ):  # fmt: skip
                 self.counts[f"detector_{check.contradicts}"] += 1
