@@ -49,8 +49,9 @@ _REACH_M = 15.0
 # at one speed, stamps show nowhere)
 _ACQUITTED, _ACQUITTED_SD, _LAPSE_M = np.array([0.028, 0.05, 0.2]), 2.0, 120.0
 _ACQUITTED_FITS = 4
-# after a start a single fit of the ranges is enough
-_START_ACQUITTED = np.array([np.inf, 0.1, np.inf])
+# after a start a single fit of the ranges is enough; a car that stands, or sees next to nothing, shows
+# none for so long
+_START_ACQUITTED, _START_S = np.array([np.inf, 0.1, np.inf]), 3.0
 
 
 class DetectorCheck:
@@ -78,6 +79,7 @@ class DetectorCheck:
         self._kind, self._found, self._sound_since_m = -1, 0.0, np.inf
         self._unproven = np.array([False, True, False])
         self._bounds, self._fits_needed = _START_ACQUITTED, 1
+        self._started_s = np.inf
         self._unproven_since_m: float | None = None
         self._proven = np.zeros(len(KINDS), dtype=np.int64)
         self._hint = np.zeros(len(KINDS))
@@ -112,6 +114,10 @@ class DetectorCheck:
         self.forget()
         self._doubt()
 
+    def absolve(self) -> None:
+        """The place was right: what contradicted it was not the detector."""
+        self._unproven[:] = False
+
     def _doubt(self) -> None:
         self._unproven[:] = True
         self._bounds, self._fits_needed = _ACQUITTED, _ACQUITTED_FITS
@@ -141,6 +147,10 @@ class DetectorCheck:
             proven: whether the place is; before it is, looks are kept and nothing is judged.
         """
         looks = self._looks
+        if proven and self._bounds is _START_ACQUITTED:
+            self._started_s = min(self._started_s, scan.stamp_s)
+            if scan.stamp_s - self._started_s > _START_S:
+                self._unproven[:] = False
         moved_m = travelled_m - looks[-1].travelled_m if looks else _APART_M
         if moved_m < _APART_M:
             return False

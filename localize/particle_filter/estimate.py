@@ -80,7 +80,7 @@ class PfEstimate:
         usable: whether poles hold the pose, even if odometry is silent or in doubt.
         odometry: what the poles say of the odometry, None where they do not know.
         detector: what of the detector's calibration the way of the car contradicts: "turned",
-            "ranges", "stamps", or "" for nothing.
+            "ranges", "stamps"; "unproven" where its looks must speak for it first; or "".
     """
 
     stamp_s: float

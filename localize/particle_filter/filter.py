@@ -57,6 +57,8 @@ _START_FACTOR = 4
 _ARC_S = 0.06
 # a pose older than this is no start: the odometry that is kept must reach back to it
 _STALE_S = 60.0
+# what dead reckoning may be off by between two proven places, m, and as a share of the way
+_STAYED_M, _STAYED_SHARE = 0.3, 0.02
 # share of the particles that must stay effective when a sharp scan meets wide-spread particles
 _MIN_EFFECTIVE_SHARE = 0.03
 
@@ -109,6 +111,8 @@ class ParticleFilter:
         # of the last estimate
         self._pose, self._odometry_pose = np.zeros(3), np.zeros(3)
         self._detector = DetectorCheck(config.poles)
+        # pose, odometry's pose and way where poles began to contradict the place
+        self._left: tuple[Floats, Floats, float] | None = None
 
     @property
     def initialized(self) -> bool:
@@ -344,6 +348,7 @@ class ParticleFilter:
                 self.counts["poles_contradict"] += 1
                 self._recovery.proof.doubt()
                 self._detector.suspect()
+                self._left = self._pose, self._odometry_pose, step.travelled_m
         unmatched |= strange.contradict
         narrow = len(modes) == 1 and major <= PROVEN_SD_M
         self._check_detector(scan, event, pose, step, narrow=narrow)
@@ -353,12 +358,20 @@ class ParticleFilter:
         opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
         if opinion == "contradicted":
             self._detector.suspect()
+            self._left = None
+        elif self._left is not None and not strange.contradict and self._recovery.proof.proven:
+            if _stayed(self._left, pose, step):
+                self._detector.absolve()
+            self._left = None
         settled = self._recovery.proof.proven and len(modes) == 1
         narrow = major <= config.health.sd_max_m
         usable = settled and narrow and self._recovery.lost.fits and not unmatched
         healthy = usable and not self._odometry.doubted and opinion != "contradicted"
         healthy &= self._detector.acquitted and not self._detector.contradicts
         healthy &= bool(np.hypot(major, hint_m) <= config.health.sd_max_m)
+        detector = self._detector.contradicts
+        if not detector and not self._detector.acquitted:
+            detector = "unproven"
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,
@@ -379,7 +392,7 @@ class ParticleFilter:
         )
         return PfEstimate(
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event,
-            usable, opinion, self._detector.contradicts or "unproven" * (not self._detector.acquitted),
+            usable, opinion, detector,
         )  # fmt: skip
 
     def _check_detector(
@@ -390,6 +403,7 @@ class ParticleFilter:
             check.forget()
             if event == "reinitialized":
                 check.suspect()
+                self._left = None
         elif (proven := self._recovery.proof.proven) or narrow:
             rates = self._history.rates_at(scan.stamp_s)
             if check.add_scan(
@@ -397,3 +411,12 @@ class ParticleFilter:
                 proven=proven,
             ):  # fmt: skip
                 self.counts[f"detector_{check.contradicts}"] += 1
+
+
+def _stayed(left: tuple[Floats, Floats, float], pose: Floats, step: Step) -> bool:
+    """Whether a place that is proven again is where the odometry has led to meanwhile: then what
+    did not fit was the map, as where it ends."""
+    pose_then, odometry_then, travelled_m = left
+    expected = compose(pose_then, relative(odometry_then, step.odometry_pose))
+    off_m = float(np.hypot(*(pose - expected)[:2]))
+    return off_m <= _STAYED_M + _STAYED_SHARE * (step.travelled_m - travelled_m)

@@ -40,6 +40,7 @@ class FreeMotion:
 
     Attributes:
         free: which particles do not follow the odometry.
+        followed: which have followed it at any time since it came into doubt.
         speed_mps: of the free.
         followed_mps: speed of the others, as the odometry that is in doubt has it.
         own_turn: whether the free have a yaw rate of their own; else they follow the odometry's,
@@ -51,6 +52,7 @@ class FreeMotion:
     ) -> None:
         self._rng = rng
         self.free: Flags = rng.random(count) < share
+        self.followed: Flags = ~self.free
         self.own_turn = held.turn_doubted
         self.followed_mps = held.speed_mps
         noise = rng.standard_normal((3, count))
@@ -86,10 +88,12 @@ class FreeMotion:
         self.speed_mps[leave] = speed_mps + speed_sd * noise[0]
         self._rate_radps[leave] = yaw_rate_radps + rate_sd * noise[1]
         self.free = self.free ^ swap
+        self.followed = self.followed | ~self.free
 
     def take(self, rows: NDArray[np.int64]) -> None:
         """Keep the particles of these rows, in this order."""
         self.free, self.speed_mps = self.free[rows], self.speed_mps[rows]
+        self.followed = self.followed[rows]
         self._rate_radps, self._turn_error = self._rate_radps[rows], self._turn_error[rows]
 
     def take_with_newcomers(self, rows: NDArray[np.int64], count: int) -> None:

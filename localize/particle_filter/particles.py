@@ -95,8 +95,11 @@ class ParticleSet:
 
     def drop_followers(self) -> None:
         """What the odometry said is known to be wrong: those that followed it count for little."""
-        if self.motion is not None and self.motion.free.any():
-            self.log_weights = self.log_weights + np.where(self.motion.free, 0.0, _DROPPED)
+        if self.motion is None or not self.motion.free.any():
+            return
+        # who followed for a while only has still been led off, unless all have
+        left = ~self.motion.followed if not self.motion.followed.all() else self.motion.free
+        self.log_weights = self.log_weights + np.where(left, 0.0, _DROPPED)
 
     @property
     def following_share(self) -> float:

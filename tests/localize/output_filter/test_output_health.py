@@ -37,7 +37,7 @@ def test_a_filter_on_poles_is_trusted():
         ({"doubted": True}, "odometry_doubted"),
         ({"odometry_s": 9.4}, "odometry_silent"),
         ({"last_pose_s": 4.9}, "unchecked"),
-        ({"rival": Rival(9.4, (9.0, 0.0, 0.0), (0.0, 0.0, 0.0))}, "poses_rejected"),
+        ({"rival": Rival(9.9, (9.0, 0.0, 0.0), (0.0, 0.0, 0.0), 9.7, 3)}, "poses_rejected"),
         (
             {"held_s": 8.5, "gnss_rejected": 3, "gnss_rejected_since_s": 9.0},
             "fixes_disagree",
@@ -46,6 +46,12 @@ def test_a_filter_on_poles_is_trusted():
 )
 def test_every_contradiction_is_named(changes, reason):
     assert distrust(GOOD._replace(**changes), 10.0, NARROW, HealthConfig()) == reason
+
+
+@pytest.mark.parametrize(("first_s", "rejected"), [(9.9, 5), (9.4, 1)])
+def test_one_pose_or_a_moment_that_fails_the_gate_is_no_contradiction(first_s, rejected):
+    rival = Rival(first_s, (9.0, 0.0, 0.0), (0.0, 0.0, 0.0), first_s, rejected)
+    assert distrust(GOOD._replace(rival=rival), 10.0, NARROW, HealthConfig()) == ""
 
 
 def test_fixes_that_fail_while_poles_are_found_are_wrong_themselves():

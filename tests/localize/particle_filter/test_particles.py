@@ -14,7 +14,9 @@ from polemap.localize.particle_filter.estimate import (
     modes_of,
     position_sd,
 )
+from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.particles import (
+    ParticleSet,
     effective_count,
     kld_count,
     log_mean,
@@ -142,3 +144,18 @@ def test_particle_count_is_fixed_unless_adaptive() -> None:
     poses, weights = np.zeros((10, 3)), np.full(10, 0.1)
     assert particles_needed(poses, weights, LocalizeConfig(particles=700)) == 700
     assert particles_needed(poses, weights, LocalizeConfig(kld=KldConfig(adaptive=True))) == 50
+
+
+def test_who_followed_an_odometry_for_a_while_is_led_off_as_well() -> None:
+    particles = ParticleSet(LocalizeConfig(particles=400), 2.7, np.random.default_rng(5))
+    particles.place_all(np.zeros((400, 3)), np.zeros(400))
+    particles.release(Held(0.0, 10.0, 0.0, step_mps=-10.0), 0.5, sure=True)
+    motion = particles.motion
+    assert motion is not None
+    never = motion.free.copy()
+    for _ in range(20):
+        motion.switch(0.1, 0.0, 0.0)
+        never &= motion.free
+    assert not np.array_equal(never, motion.free)
+    particles.drop_followers()
+    assert particles.weights[never].sum() > 0.9
