@@ -45,12 +45,12 @@ _HINT_KEPT = 0.7
 # how far the poles are that hold a pose: a turn moves it aside by as much of this
 _REACH_M = 15.0
 # after a contradiction the calibration is acquitted when all looks since then say four times in a
-# row that it lies within these by two standard deviations, or when nothing has spoken against it on so long a way (where the car goes straight on
-# at one speed, stamps show nowhere)
+# row that it lies within these by two standard deviations, or when nothing has spoken against it
+# on so long a way (where the car goes straight on at one speed, stamps show nowhere)
 _ACQUITTED, _ACQUITTED_SD, _LAPSE_M = np.array([0.028, 0.05, 0.2]), 2.0, 120.0
 _ACQUITTED_FITS = 4
-# after a start a single fit of the ranges is enough; a car that stands, or sees next to nothing, shows
-# none for so long
+# after a start a single fit of the ranges is enough; a car that stands, or sees next to nothing, is
+# not waited for longer
 _START_ACQUITTED, _START_S = np.array([np.inf, 0.1, np.inf]), 3.0
 
 

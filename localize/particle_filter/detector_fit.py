@@ -30,8 +30,8 @@ _POLE_SD_M, _DETECTION_SD_M = 0.05, 0.03
 # of Huber's loss, in standard deviations of a detection; rounds of reweighting
 _HUBER, _ROUNDS = 2.5, 3
 TOLERANCE = np.array([0.0087, 0.02, 0.1])
-"""A calibration is as good as this in use: 0.5 degrees, 2 %, 0.1 s (of a recording that is held good,
-Victoria Park, the laser's stamps are 0.07 s off)."""
+"""A calibration is as good as this in use: 0.5 degrees, 2 %, 0.1 s (of a recording that is held
+good, Victoria Park, the laser's stamps are 0.07 s off)."""
 # heading that the odometry may lose at one place, rad, and as a share of what it turns within this;
 # in a bend the car's middle and its wheels slip as no column says: 0.1 rad at a radius of 1 m
 _JUMP_RAD, _JUMP_SHARE, _NEAR_M = 0.0035, 0.05, 5.0

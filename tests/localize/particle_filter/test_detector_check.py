@@ -54,8 +54,8 @@ def drive(
     suspected_m: float = np.inf,
     rate_offset_radps: float = 0.0,
 ) -> tuple[DetectorCheck, list[str]]:
-    """A drive of 220 m at 7 to 10 m/s, its errors on a part of the way; what was found at each scan,
-    "open" where nothing was, but the calibration is not acquitted either."""
+    """A drive of 220 m at 7 to 10 m/s, its errors on a part of the way; what was found at each
+    scan, "open" where nothing was, but the calibration is not acquitted either."""
     rng = np.random.default_rng(seed)
     poles = street(rng)
     landmarks = mapped(poles + rng.normal(0.0, 0.05, poles.shape))

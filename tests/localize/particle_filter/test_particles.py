@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polemap.localize.config import KldConfig, LocalizeConfig
+from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.estimate import (
     find_modes,
     mean_and_covariance,
     modes_of,
     position_sd,
 )
-from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.particles import (
     ParticleSet,
     effective_count,
