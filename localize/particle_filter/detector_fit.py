@@ -193,7 +193,9 @@ class Stretch:
             rest = np.hypot(*(target - design @ values).T)
             weight = np.minimum(1.0, _HUBER / np.maximum(rest, 1e-9))
             scatter = float(np.sqrt(0.5 * np.mean(np.minimum(rest, 2.0 * _HUBER) ** 2)))
-        return _Solved(values, np.asarray(covariance, float), share * weight, target - design @ values, scatter)
+        return _Solved(
+            values, np.asarray(covariance, float), share * weight, target - design @ values, scatter
+        )
 
     def change(self) -> Change | None:
         """The change of the calibration that fits best; None where no scan has poles enough on
