@@ -93,6 +93,11 @@ def command(
         raise InputError(f"--at {at_s:g}: drive {opened.name} lasts {lasts_s:.1f} s; begin earlier")
     processes = workers or cpu_count() or 1
     index = opened_index(map_file, opened.frame, processes)
+    if not index.triangles:
+        raise InputError(
+            f"{map_file}: {len(index)} poles of which no three stand within 30 m; no car is found "
+            "by them"
+        )
     total = len(opened.frame_stamps_s) if opened.has_frames else len(opened.scans)
     with progress(total, "detecting poles") as advance:
         scans = detect_drive(source, opened, settings, processes, None, advance).scans

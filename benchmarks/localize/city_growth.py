@@ -24,12 +24,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import apart, command_line
-from benchmarks.localize.cities import make_city
 from benchmarks.localize.city_drives import drive
 from benchmarks.localize.city_window import localizing, opening, resident_mb, updates
-from benchmarks.localize.places import MAP_SD_M, MAPPED, in_city
 from polemap.map.city.io import open_map
-from polemap.map.city.parquet.io import write_tiles
 from polemap.map.pattern_index.io import index_file, read_index, write_index
 
 FIRST_START = 20_000
@@ -44,6 +41,11 @@ COLUMNS = {
 
 def written(poles: int, path: Path) -> dict[str, float]:
     """Make a city and write its map."""
+    # imported here: the process that localizes is to hold what localizing needs
+    from benchmarks.localize.cities import make_city
+    from benchmarks.localize.places import MAP_SD_M, MAPPED
+    from polemap.map.city.parquet.io import write_tiles
+
     pole_map = make_city(poles, MAPPED).surveyed(MAP_SD_M, MAPPED)
     begin = process_time()
     write_tiles(pole_map, path)
@@ -65,6 +67,9 @@ def indexed(path: Path) -> dict[str, float]:
 
 def searched(poles: int, path: Path, starts: int) -> dict[str, float]:
     """Open the index and start anywhere."""
+    from benchmarks.localize.cities import make_city
+    from benchmarks.localize.places import MAPPED, in_city
+
     city = make_city(poles, MAPPED)
     before_mb = resident_mb()
     begin = perf_counter()

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from polemap.drivelog.errors import InputError
+
 ENDINGS = (".gpkg", ".parquet")
 """Of the files of a folder that is opened as one map."""
 _HASHED_AT_ONCE = 2**22
@@ -22,6 +24,18 @@ def map_files(path: Path) -> list[Path]:
     if any(one.is_dir() for one in inside):
         return []
     return sorted(one for one in inside if one.suffix.lower() in ENDINGS)
+
+
+def require_map(path: Path) -> None:
+    """Refuse what is neither a file nor a folder of maps.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such map")
+    if path.is_dir() and not map_files(path):
+        raise InputError(f"{path}: no such map; a folder of maps holds .gpkg or .parquet files")
 
 
 def map_state(path: Path) -> State:

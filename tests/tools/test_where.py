@@ -16,6 +16,7 @@ from polemap.map.pattern_index.io import index_file, write_index
 from polemap.tools import cli
 from tests.city_maps import write_city
 from tests.localize.place.town import drive_in, town
+from tests.pole_maps import plain_map
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +124,20 @@ def test_a_folder_of_maps_is_indexed_and_searched(
     assert "a folder of maps holds .gpkg or .parquet files" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("points", [np.empty((0, 2)), np.array([[1.0, 2.0]])])
+def test_a_map_without_patterns_finds_nobody_and_says_why(
+    places: tuple[Path, Path, Path],
+    points: np.ndarray,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    frame = town(0).surveyed(0.05, 0).frame
+    write_map(replace(plain_map(points), frame=frame), tmp_path / "few.gpkg")
+    assert where(places[0], "--map", tmp_path / "few.gpkg") == cli.USER_ERROR
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"{len(points)} poles of which no three stand within 30 m" in said
+
+
 def test_a_damaged_index_is_told_and_built_anew(
     places: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -141,6 +156,13 @@ def test_what_is_missing_is_named(
 ) -> None:
     drive, pole_map, _ = places
     assert where(drive, "--map", tmp_path / "none.gpkg") == cli.USER_ERROR
+    assert "none.gpkg: no such map" in capsys.readouterr().err
+    for words in (["where", str(drive), "--map", str(drive)], ["map", "--index", str(drive)]):
+        assert cli.run(words) == cli.USER_ERROR
+        said = capsys.readouterr().err
+        assert "a folder of maps holds .gpkg or .parquet files" in said
+        assert said.count("\n") == 1
+    assert cli.run(["map", "--index", str(tmp_path / "none.gpkg")]) == cli.USER_ERROR
     assert "none.gpkg: no such map" in capsys.readouterr().err
     assert where(drive, "--map", pole_map, "--picture", "a.txt") == cli.USER_ERROR
     assert "a picture ends in" in capsys.readouterr().err

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.map_files import State, is_of, map_digests, map_state
+from polemap.map.map_files import State, is_of, map_digests, map_state, require_map
 from polemap.map.pattern_index.build import Run, TiledMap, build_index, here, kept_tiles
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pole_map import PoleMap
@@ -155,14 +155,13 @@ def open_index(
     Raises:
         InputError: the map cannot be read.
     """
-    if not map_file.exists():
-        raise InputError(f"{map_file}: no such map")
+    require_map(map_file)
     why = f"{map_file}: it has no index of patterns"
     try:
         index = read_index(map_file)
         if index is not None:
             return index
-        if index_file(map_file).exists():
+        if index_file(map_file).is_file():
             why = f"{index_file(map_file)}: is of another map, or of another version"
     except InputError as error:
         why = str(error)

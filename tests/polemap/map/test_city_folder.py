@@ -16,7 +16,7 @@ from polemap.map.io import write_map
 from polemap.map.map_files import map_files
 from polemap.map.pole_map import PoleMap
 from tests.city_maps import opened, write_city
-from tests.polemap.map.test_city_map import ORIGIN, SIDE_M, assert_same, by_id, make_city
+from tests.polemap.map.city.cities import ORIGIN, SIDE_M, assert_same, by_id, make_city
 
 
 @pytest.fixture(scope="module")
