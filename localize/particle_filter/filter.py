@@ -336,6 +336,8 @@ class ParticleFilter:
             self._recovery.prove(scan, fit, pose, step, narrow=narrow)
         possible = max(min(float(len(scan)), fit.expected), float(fit.matched))
         unmatched = self._recovery.unmatched.contradict(scan.stamp_s, fit.matched, possible)
+        # where no pole has held the pose lately, one that fails says nothing of the detector
+        held = self._recovery.held(scan.stamp_s)
         independent = independent_share(step.moved_m, step.elapsed_s, config.poles)
         strange = self._recovery.strange
         if event is None:
@@ -347,16 +349,17 @@ class ParticleFilter:
             if strange.contradict and not before:
                 self.counts["poles_contradict"] += 1
                 self._recovery.proof.doubt()
-                self._detector.suspect()
-                self._left = self._pose, self._odometry_pose, step.travelled_m
+                if held:
+                    self._detector.suspect()
+                    self._left = self._pose, self._odometry_pose, step.travelled_m
         unmatched |= strange.contradict
         narrow = len(modes) == 1 and major <= PROVEN_SD_M
-        self._check_detector(scan, event, pose, step, narrow=narrow)
+        self._check_detector(scan, event, pose, step, narrow=narrow, held=held)
         hint_m, hint_rad = self._detector.hinted_sd
         if hint_m > 0.0:
             spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
         opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
-        if opinion == "contradicted":
+        if opinion == "contradicted" and held:
             self._detector.suspect()
             self._left = None
         elif self._left is not None and not strange.contradict and self._recovery.proof.proven:
@@ -396,12 +399,19 @@ class ParticleFilter:
         )  # fmt: skip
 
     def _check_detector(
-        self, scan: Detections, event: Event | None, pose: Floats, step: Step, *, narrow: bool
+        self,
+        scan: Detections,
+        event: Event | None,
+        pose: Floats,
+        step: Step,
+        *,
+        narrow: bool,
+        held: bool,
     ) -> None:
         check = self._detector
         if self._odometry.doubted or event in ("initialized", "reinitialized"):
             check.forget()
-            if event == "reinitialized":
+            if event == "reinitialized" and held:
                 check.suspect()
                 self._left = None
         elif (proven := self._recovery.proof.proven) or narrow:
