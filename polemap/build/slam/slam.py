@@ -128,7 +128,7 @@ def solve_slam(
 
     Raises:
         InputError: a drive without odometry, without movement or without scans; several drives, of
-            which one has no fix.
+            which one has no fix, or is another one again.
         FrameError: no transformation leads from a drive's frame to `frame`.
         MissingExtraError: gtsam is not installed.
     """
@@ -220,6 +220,23 @@ def _check(routes: Sequence[Route], scans: Sequence[Sequence[Detections]]) -> No
             f"drive {without[0]}: it has no GNSS fix, so that nothing says where it lies to the "
             "other drives; build its map by itself, or --update theirs with it"
         )
+    for number, route in enumerate(routes):
+        twin = next((one.name for one in routes[:number] if _same_drive(one, route)), None)
+        if twin is not None:
+            raise InputError(
+                f"drive {route.name}: its odometry is that of drive {twin}, value for value; the "
+                "same drive given twice tells nothing new: give it once"
+            )
+
+
+def _same_drive(a: Route, b: Route) -> bool:
+    """Whether one recording was given twice, under whatever name; stamps may have been moved."""
+    one, two = a.odometry, b.odometry
+    return (
+        len(one) == len(two)
+        and bool(np.array_equal(one.speed_mps, two.speed_mps))
+        and bool(np.array_equal(one.yaw_rate_radps, two.yaw_rate_radps))
+    )
 
 
 def _result(

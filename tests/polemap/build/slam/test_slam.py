@@ -208,3 +208,9 @@ def test_strain_is_the_squared_distance_in_deviations() -> None:
     assert loop.strain(anchors) == pytest.approx(0.0, abs=1e-9)
     moved = replace(loop, measured=np.array([10.3, -0.15, 0.02]))
     assert moved.strain(anchors) == pytest.approx(4.0 + 1.0 + 4.0)
+
+
+def test_a_drive_that_is_given_twice_is_named() -> None:
+    sim = made(101, laps=1.0)
+    with pytest.raises(InputError, match="drive drive 1: its odometry is that of drive drive 0"):
+        solve(sim.drive, replace(sim.drive, name="again"))
