@@ -110,6 +110,7 @@ class ParticleFilter:
         self._window.users += [self._weigher, self._recovery, self._twins]
         # of the last estimate
         self._pose, self._odometry_pose = np.zeros(3), np.zeros(3)
+        self._spread = np.eye(3)
         self._detector = DetectorCheck(config.poles)
         # pose, odometry's pose and way where poles began to contradict the place
         self._left: tuple[Floats, Floats, float] | None = None
@@ -255,7 +256,7 @@ class ParticleFilter:
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
         held = self._trusted and estimate.health.matched >= 2
-        self._calibration.learn_from_pose(stamp, estimate.pose, estimate.covariance, held)
+        self._calibration.learn_from_pose(stamp, estimate.pose, self._spread, held)
         return estimate
 
     def _mapped(self, scan: Detections, odometry_pose: Floats) -> Detections:
@@ -356,7 +357,9 @@ class ParticleFilter:
         narrow = len(modes) == 1 and major <= PROVEN_SD_M
         self._check_detector(scan, event, pose, step, narrow=narrow, held=held)
         hint_m, hint_rad = self._detector.hinted_sd
+        self._spread = spread
         if hint_m > 0.0:
+            # stated, but nothing that is learned from the pose
             spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
         opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
         if opinion == "contradicted" and held:
