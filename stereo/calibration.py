@@ -32,6 +32,7 @@ _ALIASES: dict[str, Distortion] = {
 }
 BASELINE_MIN_M, BASELINE_MAX_M = 0.01, 5.0
 # published rectifications are rounded, and KITTI's serves four cameras at once
+_ASPECT_MOST = 2.0
 _ROTATION_TOLERANCE_DEG, _BASELINE_TOLERANCE = 0.5, 0.03
 
 
@@ -110,6 +111,7 @@ class CameraCalibration:
             raise StereoError(f"lens coefficients {list(self.coefficients)} are not all finite")
         check_picture_size("camera", self.width_px, self.height_px)
         self._check_matrix()
+        self._check_lens()
 
     def _check_matrix(self) -> None:
         matrix = np.asarray(self.matrix)
@@ -119,6 +121,11 @@ class CameraCalibration:
         if not np.allclose(matrix[2], [0.0, 0.0, 1.0]) or matrix[1, 0] != 0.0:
             raise StereoError(
                 f"camera matrix {matrix.tolist()} is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+            )
+        if not 1.0 / _ASPECT_MOST < matrix[1, 1] / matrix[0, 0] < _ASPECT_MOST:
+            raise StereoError(
+                f"focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px differ by more than "
+                f"{_ASPECT_MOST:g} times: no pixel is so far from square"
             )
         if abs(matrix[0, 1]) > 1e-3 * matrix[0, 0]:
             raise StereoError(
@@ -132,6 +139,29 @@ class CameraCalibration:
                     f"the principal point {centre:.0f} px lies far outside of a {name} of {size} "
                     "px: the camera matrix is that of another size"
                 )
+
+    def _check_lens(self) -> None:
+        """Near the middle, to a quarter of the way, no lens folds the picture or moves it far."""
+        centre = self.matrix[:2, 2]
+        corners = np.array([[0.0, 0.0], [self.width_px, 0.0], [0.0, self.height_px],
+                            [self.width_px, self.height_px]])  # fmt: skip
+        focal = np.array([self.matrix[0, 0], self.matrix[1, 1]])
+        reach = float(np.hypot(*((corners - centre) / focal).T).max())
+        k = np.zeros(8)
+        k[: min(len(self.coefficients), 8)] = self.coefficients[:8]
+        if self.distortion == "equidistant":
+            angle = r = np.linspace(0.0, min(0.25 * reach, 1.5), 200)
+            out = angle * (1.0 + sum(k[i] * angle ** (2 * i + 2) for i in range(4)))
+        else:
+            r = np.linspace(0.0, 0.25 * reach, 200)
+            over = 1.0 + k[0] * r**2 + k[1] * r**4 + k[4] * r**6
+            under = 1.0 + k[5] * r**2 + k[6] * r**4 + k[7] * r**6
+            out = r * over / np.where(np.abs(under) < 1e-9, 1e-9, under)
+        if not (np.diff(out) > 0.0).all() or not 0.25 * r[-1] < out[-1] < 4.0 * r[-1]:
+            raise StereoError(
+                f"lens coefficients {[float(c) for c in self.coefficients[:5]]} fold or tear the "
+                "picture near its middle: they are of another lens model or order"
+            )
 
     @property
     def has_distortion(self) -> bool:

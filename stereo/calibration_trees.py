@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -67,6 +67,15 @@ def first_of(tree: Tree, names: tuple[str, ...], number: int | str = "") -> Any:
     raise StereoError(f"has no '{wanted[0]}' (or {', '.join(wanted[1:4]) or 'another name'})")
 
 
+def _leaves(value: Any) -> Iterator[Any]:
+    """What lists in lists hold."""
+    if isinstance(value, list | tuple):
+        for one in value:
+            yield from _leaves(one)
+    else:
+        yield value
+
+
 def numbers(name: str, value: Any, count: int | None = None) -> Floats:
     """A flat array of `count` finite numbers, from a matrix, list or dict with `data`.
 
@@ -78,7 +87,10 @@ def numbers(name: str, value: Any, count: int | None = None) -> Floats:
     if value is None:
         value = []
     try:
-        found = np.array(value, dtype=np.float64).ravel()
+        raw = np.array(value)
+        if raw.dtype == np.bool_ or any(isinstance(one, bool) for one in _leaves(value)):
+            raise ValueError("true and false are no numbers")
+        found = raw.astype(np.float64).ravel()
     except (TypeError, ValueError) as error:
         raise StereoError(f"'{name}' holds no numbers") from error
     if not np.isfinite(found).all():
@@ -160,6 +172,8 @@ def _size(tree: Tree, stated: Stated) -> tuple[int, int]:
     for name in _SIZE:
         if name in tree:
             width, height = numbers(name, tree[name], 2)
+            if width % 1.0 or height % 1.0:
+                raise StereoError(f"'{name}' holds no whole numbers")
             return int(width), int(height)
     if stated.size_px is not None and not any(name in tree for name in _WIDTH):
         return stated.size_px
@@ -209,6 +223,8 @@ def _kalibr_camera(name: str, tree: Tree, stated: Stated) -> CameraCalibration:
     lens = numbers(f"{name}.distortion_coeffs", tree.get("distortion_coeffs"))
     model = stated.distortion_model or str(tree.get("distortion_model", "plumb_bob"))
     width, height = numbers(f"{name}.resolution", tree.get("resolution"), 2)
+    if width % 1.0 or height % 1.0:
+        raise StereoError(f"'{name}.resolution' holds no whole numbers")
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     try:
         return CameraCalibration(

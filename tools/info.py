@@ -23,8 +23,8 @@ from polemap.drivelog.readers.registry import open_drive
 from polemap.errors import PolemapError
 from polemap.map.city.city_map import CityMap, statistics_of
 from polemap.map.city.io import open_map
+from polemap.map.files.io import map_files
 from polemap.map.io import MAP_ENDINGS
-from polemap.map.map_files import map_files
 from polemap.map.plausibility import check_map, check_map_of_drive
 from polemap.map.pole_map import PoleMap
 from polemap.tools.option_types import SeedOption, TopicsOption

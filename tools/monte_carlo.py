@@ -22,7 +22,7 @@ from polemap.evaluation.verdict import judge
 from polemap.localize.io import write_metrics, write_run
 from polemap.localize.replay import Run, replay
 from polemap.map.city.city_map import CityMap
-from polemap.map.map_files import map_files
+from polemap.map.files.io import map_files
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.json_text import read_json
 from polemap.settings import Settings

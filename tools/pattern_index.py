@@ -13,7 +13,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.jobs import LocalWorkers, Workers
 from polemap.map.city.city_map import CityMap
 from polemap.map.city.io import open_map
-from polemap.map.map_files import State, map_state, require_map
+from polemap.map.files.io import State, map_state, require_map
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pattern_index.io import index_file, open_index, write_index
 from polemap.map.pole_map import PoleMap

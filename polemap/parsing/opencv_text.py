@@ -6,6 +6,7 @@ Read here and not by OpenCV, whose parser has no limits and says what is wrong o
 from __future__ import annotations
 
 import re
+from math import prod
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from polemap.parsing.errors import ParsingError, short
 from polemap.parsing.yaml_text import parse_yaml
 
-_MATRIX_KEYS = {"rows", "cols", "data"}
+# of two dimensions, and since OpenCV 5 of any number
+_MATRIX_KEYS, _ARRAY_KEYS = {"rows", "cols", "data"}, {"sizes", "data"}
 
 
 def parse_opencv(text: str) -> dict[str, Any]:
@@ -31,29 +33,34 @@ def parse_opencv(text: str) -> dict[str, Any]:
     else:
         # the header is older than YAML's own, and the tag is unknown to every other parser
         plain = re.sub(r"\A\s*%YAML:1\.0[^\n]*\n", "", text)
-        tree = parse_yaml(plain.replace("!!opencv-matrix", ""))
+        tree = parse_yaml(re.sub("!!opencv-(nd-)?matrix", "", plain))
     if not isinstance(tree, dict):
         raise ParsingError("holds no names with values")
     return {str(name): _value(str(name), value) for name, value in tree.items()}
 
 
 def _value(name: str, value: Any) -> Any:
-    if isinstance(value, dict) and value.keys() >= _MATRIX_KEYS:
+    if isinstance(value, dict) and (value.keys() >= _MATRIX_KEYS or value.keys() >= _ARRAY_KEYS):
         return _matrix(name, value)
     return value
 
 
 def _matrix(name: str, value: dict[str, Any]) -> NDArray[np.float64]:
     try:
-        shape = int(value["rows"]), int(value["cols"])
-        data = value["data"]
-        words = data.split() if isinstance(data, str) else data
+        sizes = value.get("sizes", (value.get("rows"), value.get("cols")))
+        shape = tuple(int(size) for size in _words(sizes))
+        words = _words(value["data"])
         numbers = np.array([_number(word) for word in words], dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ParsingError(f"matrix {name} cannot be read ({short(error)})") from error
-    if numbers.size != shape[0] * shape[1]:
-        raise ParsingError(f"matrix {name} is {shape[0]}x{shape[1]}, but holds {numbers.size}")
+    if not shape or min(shape) < 0 or numbers.size != prod(shape):
+        said = "x".join(str(size) for size in shape)
+        raise ParsingError(f"matrix {name} is {said}, but holds {numbers.size}")
     return numbers.reshape(shape)
+
+
+def _words(value: Any) -> Any:
+    return value.split() if isinstance(value, str) else value
 
 
 def _number(word: Any) -> float:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from polemap.stereo.calibration import StereoCalibration
 from polemap.stereo.calibration_trees import Stated
+from polemap.stereo.errors import StereoError
 from polemap.stereo.io import read_calibration
 from polemap.stereo.rectify import rectification_of
 from tests.stereo.calibrations import (
@@ -72,6 +75,16 @@ def test_opencvs_samples_write_two_files_without_a_size(tmp_path: Path) -> None:
         read_calibration([one, two])
 
 
+@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
+def test_arrays_of_one_dimension(tmp_path: Path, ending: str) -> None:
+    calibration = make_calibration()
+    values = opencv_values(calibration)
+    flat = {name: np.ravel(values[name]) for name in ("D1", "D2", "T")}
+    assert_same(
+        read_calibration(write_opencv(tmp_path / f"c.{ending}", values | flat)), calibration
+    )
+
+
 def test_a_measured_baseline_stands_for_a_translation_in_squares(tmp_path: Path) -> None:
     calibration = make_calibration()
     values = opencv_values(calibration)
@@ -83,3 +96,32 @@ def test_a_measured_baseline_stands_for_a_translation_in_squares(tmp_path: Path)
         read_calibration(path)
     baseline = calibration.baseline_m
     assert_same(read_calibration(path, Stated(baseline_m=baseline)), calibration)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("M1", lambda m: np.diag([1.0, 0.01, 1.0]) @ m, "no pixel is so far from square"),
+        ("D1", lambda d: np.array([-3000.0, 1e8, 0.0, 0.0, 0.0]), "fold or tear the picture"),
+        ("D2", lambda d: np.array([0.1, 0.0, 0.0, 0.0, -1e6]), "fold or tear the picture"),
+    ],
+)
+def test_what_no_lens_does_is_refused(
+    tmp_path: Path, name: str, change: Callable[[np.ndarray], np.ndarray], message: str
+) -> None:
+    values = opencv_values(make_calibration())
+    values[name] = change(np.asarray(values[name], dtype=np.float64))
+    if name == "M1":
+        values[name][1, 2] = 100.0
+    with pytest.raises(StereoError, match=message):
+        read_calibration(write_opencv(tmp_path / "c.yml", values))
+
+
+@pytest.mark.parametrize("put", ["[true, 500, 160, 120]", "[no, 500, 160, 120]"])
+def test_truths_are_no_numbers(tmp_path: Path, put: str) -> None:
+    path = write_kalibr(tmp_path / "chain.yaml", make_calibration())
+    tree = yaml.safe_load(path.read_text())
+    tree["cam0"]["intrinsics"] = yaml.safe_load(put)
+    path.write_text(yaml.safe_dump(tree))
+    with pytest.raises(StereoError, match=r"'cam0\.intrinsics' holds no numbers"):
+        read_calibration(path)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.map_files import State, is_of, map_digests, map_state, require_map
+from polemap.map.files.io import State, is_of, map_digests, map_state, require_map
 from polemap.map.pattern_index.build import Run, TiledMap, build_index, here, kept_tiles
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pole_map import PoleMap

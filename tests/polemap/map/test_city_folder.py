@@ -12,8 +12,8 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.map.city.folder import io as folders
 from polemap.map.city.io import open_city, open_map
 from polemap.map.city.statistics import MapStatistics, together
+from polemap.map.files.io import map_files
 from polemap.map.io import write_map
-from polemap.map.map_files import map_files
 from polemap.map.pole_map import PoleMap
 from tests.city_maps import opened, write_city
 from tests.polemap.map.city.cities import ORIGIN, SIDE_M, assert_same, by_id, make_city

@@ -20,7 +20,7 @@ from polemap.map.city.geopackage.io import GeoPackageTiles
 from polemap.map.city.parquet.io import ParquetTiles
 from polemap.map.city.statistics import MapStatistics, together
 from polemap.map.city.tiles import Key, Tile, TileStore
-from polemap.map.map_files import map_files
+from polemap.map.files.io import map_files
 
 Floats = NDArray[np.float64]
 
