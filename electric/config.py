@@ -86,6 +86,13 @@ class EstimatorConfig(BaseModel):
         description="Standard deviation of the unknown yaw acceleration, rad/s^2 (two_layer).",
     )
     # sensors
+    innovation_gate_sd: float = Field(
+        5.0,
+        ge=0.0,
+        le=100.0,
+        description="A value whose residual is beyond so many predicted deviations is left out; "
+        "0 takes every value, as the papers' filters are printed.",
+    )
     gyro_sd_radps: float = Field(
         0.003, gt=0.0, le=1.0, description="Standard deviation of the yaw rate, rad/s."
     )

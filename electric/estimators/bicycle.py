@@ -11,6 +11,7 @@ from polemap.electric.config import (
     EstimatorConfig,
 )
 from polemap.electric.estimators.base import YAW_RATE, Clock, Estimate, Inputs, Value
+from polemap.electric.estimators.gate import Gate
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import lateral, schedule
@@ -34,6 +35,7 @@ class BicycleKalman:
         start = np.diag([INITIAL_SIDESLIP_SD_RAD**2, INITIAL_YAW_RATE_SD_RADPS**2])
         self._filter = ClonedFilter(np.zeros(2), start, np.zeros((1, 2)), 0)
         self.dropped: dict[str, int] = {}
+        self.gate = Gate(config, self.dropped)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         elapsed = self._clock.advance(stamp_s)
@@ -47,7 +49,11 @@ class BicycleKalman:
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == YAW_RATE:
-            self._filter.scalar(1, float(value), self._variance)  # type: ignore[arg-type]
+            f, gyro = self._filter, float(value)  # type: ignore[arg-type]
+            variance = self.gate.variance(YAW_RATE, self._variance)
+            residual = gyro - f.x.item(1)
+            if not self.gate.refuses(YAW_RATE, stamp_s, (residual, f.p.item(1, 1) + variance)):
+                f.scalar(1, gyro, variance)
 
     def estimate(self) -> Estimate:
         f = self._filter

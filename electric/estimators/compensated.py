@@ -25,6 +25,7 @@ from polemap.electric.estimators.base import (
     Value,
 )
 from polemap.electric.estimators.base import pair as two_numbers
+from polemap.electric.estimators.gate import Gate
 from polemap.electric.estimators.vision import ALL_ROWS, initial_covariance, vision_density
 from polemap.vehicle.kalman import symmetric
 from polemap.vehicle.parameters import Car
@@ -120,6 +121,7 @@ class CompensatedKalman:
         self._loose: Floats | None = initial_covariance(config)
         self._residual = 0.0
         self.dropped: dict[str, int] = {}
+        self.gate = Gate(config, self.dropped)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         elapsed = self._clock.advance(stamp_s)
@@ -170,6 +172,13 @@ class CompensatedKalman:
             row = self._row
             # against the prediction before the pseudo correction of this step: one joint update
             residual = float(value) - self._residual  # type: ignore[arg-type]
+            config, scale = self._config, self.gate.noise_scale.get(YAW_RATE)
+            variance = config.gyro_sd_radps**2 / max(1.0 - row[20], 1e-6)
+            if self.gate.refuses(YAW_RATE, stamp_s, (residual, variance)):
+                return
+            if scale is not None:
+                # a steady gain is nearly as one over the noise's variance
+                residual /= scale * scale
             self._b += row[17] * residual
             self._r += row[20] * residual
             self._h += row[23] * residual
@@ -183,7 +192,16 @@ class CompensatedKalman:
                 )
                 return
             self._stored = [s for s in self._stored if s is not found[0]]
-            self._arrive(heading - found[0][1], offset - found[0][2])
+            residuals = heading - found[0][1], offset - found[0][2]
+            config = self._config
+            sds = config.heading_sd_rad, config.lateral_offset_sd_m
+            p = self.covariance()
+            numbers = [
+                (residual, float(p[k, k]) + sd * sd)
+                for k, residual, sd in zip((2, 3), residuals, sds, strict=True)
+            ]
+            if not self.gate.refuses(CAMERA, stamp_s, *numbers):
+                self._arrive(*residuals)
 
     def _arrive(self, heading: float, offset: float) -> None:
         k01, k02, k11, k12, k21, k22, k31, k32 = (

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import WHEEL_SPEED, Clock, Estimate, Inputs, Value
+from polemap.electric.estimators.gate import Gate
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import planar_velocity_step
@@ -33,6 +34,7 @@ class KinematicKalman:
         self._clock = Clock(config.step_s)
         self._filter = ClonedFilter(np.zeros(2), np.diag([4.0, 0.25]), np.zeros((1, 2)), 0)
         self.dropped: dict[str, int] = {}
+        self.gate = Gate(config, self.dropped)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         t = self._clock.advance(stamp_s)
@@ -59,7 +61,11 @@ class KinematicKalman:
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == WHEEL_SPEED:
-            self._filter.scalar(0, float(value), WHEEL_SPEED_SD_MPS**2)  # type: ignore[arg-type]
+            f, speed = self._filter, float(value)  # type: ignore[arg-type]
+            variance = self.gate.variance(WHEEL_SPEED, WHEEL_SPEED_SD_MPS**2)
+            residual = speed - f.x.item(0)
+            if not self.gate.refuses(WHEEL_SPEED, stamp_s, (residual, f.p.item(0, 0) + variance)):
+                f.scalar(0, speed, variance)
 
     def estimate(self) -> Estimate:
         vx, vy = self._filter.x.tolist()

@@ -51,18 +51,32 @@ class LateCameraFilter(VisionFilter, ABC):
             self._take_yaw_rate(float(value))  # type: ignore[arg-type]
         elif kind == CAMERA:
             measured = np.array(pair(kind, value))
-            before = self._filter.x[:4].copy()
-            if self._take_picture(measured, stamp_s):
-                self._bridge.corrected(self._clock.stamp_s, before, self._filter.x[:4])
-            else:
+            before, expected = self._filter.x[:4].copy(), self._expected(stamp_s)
+            if expected is None:
                 self._drop("camera value without a capture")
+            elif not self._wild(
+                CAMERA, stamp_s, measured - expected[0], expected[1], self._camera_noise
+            ):
+                self._take_picture(measured, stamp_s)
+                self._bridge.corrected(self._clock.stamp_s, before, self._filter.x[:4])
 
     def _take_yaw_rate(self, value_radps: float) -> None:
-        self._filter.scalar(1, value_radps, self._gyro_variance)
+        f = self._filter
+        variance = self.gate.variance(YAW_RATE, self._gyro_variance)
+        numbers = (value_radps - f.x.item(1), f.p.item(1, 1) + variance)
+        if not self.gate.refuses(YAW_RATE, self._clock.stamp_s, numbers):
+            self._correct_yaw_rate(value_radps, variance)
+
+    def _correct_yaw_rate(self, value_radps: float, variance: float) -> None:
+        self._filter.scalar(1, value_radps, variance)
 
     @abstractmethod
-    def _take_picture(self, measured: Floats, stamp_s: float) -> bool:
-        """Correct by heading and offset `(2,)` of a capture; False where there was none."""
+    def _expected(self, stamp_s: float) -> tuple[Floats, Floats] | None:
+        """Heading and offset `(2,)` of a capture with their covariance; None where there is none."""
+
+    @abstractmethod
+    def _take_picture(self, measured: Floats, stamp_s: float) -> None:
+        """Correct by heading and offset `(2,)` of a capture that is there."""
 
     def estimate(self) -> Estimate:
         return self._output(self._filter.x[:4].copy(), self._filter.p[:4, :4])
@@ -87,14 +101,16 @@ class CloneKalman(LateCameraFilter):
         if kind == CAMERA:
             self._filter.capture(stamp_s)
 
-    def _take_picture(self, measured: Floats, stamp_s: float) -> bool:
+    def _expected(self, stamp_s: float) -> tuple[Floats, Floats] | None:
         rows = self._filter.clone(stamp_s)
-        if rows is None:
-            return False
-        jacobian = self._jacobians[(rows.start - 4) // 2]
-        self._filter.update(jacobian, measured - self._filter.x[rows], self._camera_noise)
-        self._filter.release(stamp_s)
-        return True
+        return None if rows is None else (self._filter.x[rows], self._filter.p[rows, rows])
+
+    def _take_picture(self, measured: Floats, stamp_s: float) -> None:
+        rows = self._filter.clone(stamp_s)
+        if rows is not None:
+            jacobian = self._jacobians[(rows.start - 4) // 2]
+            self._filter.update(jacobian, measured - self._filter.x[rows], self._camera_noise)
+            self._filter.release(stamp_s)
 
 
 class StoredCaptureFilter(LateCameraFilter):
@@ -116,13 +132,18 @@ class StoredCaptureFilter(LateCameraFilter):
             now = Capture(stamp_s, f.x.copy(), f.p.copy(), np.eye(4), np.zeros(4))
             self._captures = [*self._captures, now][-self._config.camera_slots :]
 
-    def _take_picture(self, measured: Floats, stamp_s: float) -> bool:
-        for capture in self._captures:
-            if abs(capture.stamp_s - stamp_s) < 1e-6:
-                self._captures = [one for one in self._captures if one is not capture]
-                self._correct(capture, measured)
-                return True
-        return False
+    def _found(self, stamp_s: float) -> Capture | None:
+        return next((c for c in self._captures if abs(c.stamp_s - stamp_s) < 1e-6), None)
+
+    def _expected(self, stamp_s: float) -> tuple[Floats, Floats] | None:
+        found = self._found(stamp_s)
+        return None if found is None else (found.mean[2:], found.covariance[2:, 2:])
+
+    def _take_picture(self, measured: Floats, stamp_s: float) -> None:
+        capture = self._found(stamp_s)
+        if capture is not None:
+            self._captures = [one for one in self._captures if one is not capture]
+            self._correct(capture, measured)
 
     @abstractmethod
     def _correct(self, capture: Capture, measured: Floats) -> None:
@@ -173,12 +194,12 @@ class ReconstructionKalman(StoredCaptureFilter):
     Source: Larsen et al., CDC 1998, as given in errata.md, Uneven delay.
     """
 
-    def _take_yaw_rate(self, value_radps: float) -> None:
+    def _correct_yaw_rate(self, value_radps: float, variance: float) -> None:
         f = self._filter
-        gain = f.p[:, 1] / (f.p[1, 1] + self._gyro_variance)
+        gain = f.p[:, 1] / (f.p[1, 1] + variance)
         for capture in self._captures:
             capture.carried = capture.carried - np.outer(gain, capture.carried[1])
-        super()._take_yaw_rate(value_radps)
+        super()._correct_yaw_rate(value_radps, variance)
 
     def _correct(self, capture: Capture, measured: Floats) -> None:
         cross = capture.covariance @ SEEN.T

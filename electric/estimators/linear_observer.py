@@ -20,6 +20,7 @@ from polemap.electric.estimators.base import (
     Inputs,
     Value,
 )
+from polemap.electric.estimators.gate import Gate
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.kalman import symmetric
 from polemap.vehicle.parameters import Car
@@ -62,6 +63,7 @@ class LinearObserver:
         self._yaw_rate: float | None = None
         self._elapsed = 0.0
         self.dropped: dict[str, int] = {}
+        self.gate = Gate(config, self.dropped)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         self._elapsed = self._clock.advance(stamp_s)
@@ -90,11 +92,18 @@ class LinearObserver:
         c = np.array([[0.0, 1.0], row])
         u = np.array([inputs.road_wheel_angle_rad, inputs.yaw_moment_nm])
         predicted = c @ self._x + (0.0, direct @ u)
+        residual = measured - predicted
+        s = np.diag(c @ self._p @ c.T + self._noise)
+        stamp, wild = self._clock.stamp_s, False
+        for index, kind in enumerate((YAW_RATE, LATERAL_ACCELERATION)):
+            wild |= self.gate.refuses(kind, stamp, (float(residual[index]), float(s[index])))
+        if wild:
+            return
         g = self._schedule.transition
         # error after the update: (I - K C) G e, so K = (I - pole G^-1) C^-1
         fade = exp(-self._pole * self._elapsed)
         gain = (np.eye(2) - fade * np.linalg.inv(g)) @ np.linalg.inv(c)
-        self._x = self._x + gain @ (measured - predicted)
+        self._x = self._x + gain @ residual
         keep = np.eye(2) - gain @ c
         self._p = symmetric(keep @ self._p @ keep.T + gain @ self._noise @ gain.T)
 

@@ -80,16 +80,29 @@ class ReplayKalman(VisionFilter):
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == YAW_RATE:
-            event = _Measured(np.array([float(value)]), GYRO_ROW, self._gyro_noise)  # type: ignore[arg-type]
-            self._buffer.insert(stamp_s, event, kind=_GYRO)
+            self._gyro(float(value), stamp_s)  # type: ignore[arg-type]
         elif kind == CAMERA:
             event = _Measured(np.array(pair(kind, value)), SEEN, self._camera_noise)
-            before = self._buffer.state.mean
-            placement = self._buffer.insert(self._taken_at(stamp_s, arrival_s), event, kind=_CAMERA)
+            before, taken = self._buffer.state.mean, self._taken_at(stamp_s, arrival_s)
+            then = self._buffer.state_at(taken)
+            residual = event.value - then.mean[2:]
+            if self._wild(CAMERA, taken, residual, then.covariance[2:, 2:], event.noise):
+                return
+            placement = self._buffer.insert(taken, event, kind=_CAMERA)
             if placement in (Placement.TOO_OLD, Placement.DUPLICATE):
                 self._drop(f"camera value {placement.value}")
                 return
             self._bridge.corrected(self._clock.stamp_s, before, self._buffer.state.mean)
+
+    def _gyro(self, value_radps: float, stamp_s: float) -> None:
+        now = self._buffer.state
+        noise, scale = self._gyro_noise, self.gate.noise_scale.get(YAW_RATE)
+        if scale is not None:
+            noise = noise * scale * scale
+        numbers = (value_radps - now.mean.item(1), now.covariance.item(1, 1) + noise.item())
+        if not self.gate.refuses(YAW_RATE, stamp_s, numbers):
+            event = _Measured(np.array([value_radps]), GYRO_ROW, noise)
+            self._buffer.insert(stamp_s, event, kind=_GYRO)
 
     def _taken_at(self, stamp_s: float, arrival_s: float) -> float:
         return stamp_s

@@ -75,9 +75,18 @@ class SingleRateKalman(VisionFilter):
         self._captured_s, self._held, self._arrived = stamp_s, self._inputs, None
 
     def _update(self) -> None:
+        gyro, stamp = self.gate.variance(YAW_RATE, self._gyro_variance), self._clock.stamp_s
+        if self._yaw_rate is not None:
+            numbers = (self._yaw_rate - self._x.item(1), self._p.item(1, 1) + gyro)
+            if self.gate.refuses(YAW_RATE, stamp, numbers):
+                self._yaw_rate = None
+        if self._arrived is not None and self._wild(
+            CAMERA, stamp, self._arrived - self._x[4:], self._p[4:, 4:], self._camera_noise
+        ):
+            self._arrived = None
         rows = [1] if self._yaw_rate is not None else []
         measured = [self._yaw_rate] if self._yaw_rate is not None else []
-        variances = [self._gyro_variance] if rows else []
+        variances = [gyro] if rows else []
         if self._arrived is not None:
             rows, measured = [*rows, 4, 5], [*measured, *self._arrived.tolist()]
             variances = [*variances, *np.diag(self._camera_noise).tolist()]

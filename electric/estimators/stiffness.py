@@ -17,6 +17,7 @@ from polemap.electric.estimators.base import (
     Value,
     pair,
 )
+from polemap.electric.estimators.gate import Gate
 from polemap.electric.estimators.vision import CURVATURE_ERROR_S, initial_covariance, vision_density
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
@@ -71,6 +72,7 @@ class StiffnessKalman:
         self._matrices = (np.zeros((4, 4)),) * 2 + (np.zeros((4, 2)),) * 2
         self._started_heading = False
         self.dropped: dict[str, int] = {}
+        self.gate = Gate(config, self.dropped)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         t = self._clock.advance(stamp_s)
@@ -115,7 +117,11 @@ class StiffnessKalman:
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == YAW_RATE:
-            self._filter.scalar(1, float(value), self._gyro_variance)  # type: ignore[arg-type]
+            f, gyro = self._filter, float(value)  # type: ignore[arg-type]
+            variance = self.gate.variance(YAW_RATE, self._gyro_variance)
+            residual = gyro - f.x.item(1)
+            if not self.gate.refuses(YAW_RATE, stamp_s, (residual, f.p.item(1, 1) + variance)):
+                f.scalar(1, gyro, variance)
         elif kind in (CAMERA, GPS):
             self._late(kind, np.array(pair(kind, value)), stamp_s)
 
@@ -129,7 +135,7 @@ class StiffnessKalman:
         jacobian = np.zeros((2 if kind == CAMERA else 1, f.size))
         if kind == CAMERA:
             jacobian[0, rows.start] = jacobian[1, rows.start + 1] = 1.0
-            f.update(jacobian, value - jacobian @ f.x, self._camera_noise)
+            self._correct(CAMERA, jacobian, value - jacobian @ f.x, self._camera_noise)
         elif value[1] >= 2.0:  # a standing car has no course
             jacobian[0, rows.start + 2] = 1.0
             if not self._started_heading:
@@ -138,9 +144,15 @@ class StiffnessKalman:
                 f.x[rows.start] = f.x[2]
                 f.x[rows.start + 2] = value[0]
             residual = np.array([wrap_angle(value[0] - (jacobian @ f.x)[0])])
-            f.update(jacobian, residual, np.array([[self._config.course_sd_rad**2]]))
+            self._correct(GPS, jacobian, residual, np.array([[self._config.course_sd_rad**2]]))
         f.release(stamp_s)
         self._bridge.corrected(self._clock.stamp_s, before, f.x[:5])
+
+    def _correct(self, kind: str, jacobian: Floats, residual: Floats, noise: Floats) -> None:
+        variances = np.einsum("ij,jk,ik->i", jacobian, self._filter.p, jacobian) + np.diag(noise)
+        numbers = zip(residual.tolist(), variances.tolist(), strict=True)
+        if not self.gate.refuses(kind, self._clock.stamp_s, *numbers):
+            self._filter.update(jacobian, residual, noise)
 
     def estimate(self) -> Estimate:
         f = self._filter

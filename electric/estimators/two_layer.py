@@ -24,6 +24,7 @@ from polemap.electric.estimators.base import (
     Value,
     pair,
 )
+from polemap.electric.estimators.gate import GPS_SPEED, Gate
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.packed import rotate
 from polemap.vehicle.parameters import Car
@@ -115,6 +116,7 @@ class TwoLayerKalman:
         self._gyro_variance = config.gyro_sd_radps**2
         self._headed = False
         self.dropped: dict[str, int] = {}
+        self.gate = Gate(config, self.dropped)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         elapsed = self._clock.advance(stamp_s)
@@ -165,7 +167,11 @@ class TwoLayerKalman:
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == YAW_RATE:
-            self._angles.scalar(1, float(value), self._gyro_variance)  # type: ignore[arg-type]
+            f, gyro = self._angles, float(value)  # type: ignore[arg-type]
+            variance = self.gate.variance(YAW_RATE, self._gyro_variance)
+            residual = gyro - f.x.item(1)
+            if not self.gate.refuses(YAW_RATE, stamp_s, (residual, f.p.item(1, 1) + variance)):
+                f.scalar(1, gyro, variance)
         elif kind == GPS:
             course, speed = pair(kind, value)
             before = self._mean()
@@ -180,7 +186,7 @@ class TwoLayerKalman:
         else:
             taken = True
             if speed >= COURSE_SPEED_MPS:
-                self._course(COURSE_ROW, course, 0.0)
+                self._course(COURSE_ROW, course)
             beta = self._angles.x.item(0)
             self._velocity(_VELOCITY, beta, self._angles.p.item(0, 0), speed, None)
         if not taken:
@@ -196,7 +202,7 @@ class TwoLayerKalman:
         if speed >= COURSE_SPEED_MPS:
             jacobian = np.zeros((1, self._angles.size))
             jacobian[0, rows] = 1.0
-            self._course(jacobian, course, 0.0)
+            self._course(jacobian, course)
         beta, variance = self._angles.x.item(rows.start), self._angles.p[rows.start, rows.start]
         seen = np.zeros((2, self._speeds.size))
         seen[0, speed_rows.start] = seen[1, speed_rows.start + 1] = 1.0
@@ -221,10 +227,11 @@ class TwoLayerKalman:
                 self._set_heading(error)
                 angles.mean[2] += error
                 error = 0.0
-            then = angles.mean + cross / s * error
-            now = angles.product @ then + angles.driven
-            self._course(COURSE_ROW, float(COURSE_ROW[0] @ now), 0.0)
-            beta, variance = float(then[0]), variance - float(cross[0]) ** 2 / s
+            if not self.gate.refuses(GPS, stamp_s, (error, s)):
+                then = angles.mean + cross / s * error
+                now = angles.product @ then + angles.driven
+                self._correct_course(COURSE_ROW, float(COURSE_ROW[0] @ (now - self._angles.x)))
+                beta, variance = float(then[0]), variance - float(cross[0]) ** 2 / s
         measured = np.array(rotate(speed, 0.0, beta))
         then_speeds = speeds.mean.copy()
         then_speeds[:2] = measured
@@ -232,14 +239,19 @@ class TwoLayerKalman:
         self._velocity(_VELOCITY, beta, variance, speed, now_speeds[:2])
         return True
 
-    def _course(self, jacobian: Floats, course: float, extra: float) -> None:
+    def _course(self, jacobian: Floats, course: float) -> None:
         f = self._angles
         residual = float(wrap_angle(course - float((jacobian @ f.x)[0])))
         if not self._headed:
             self._set_heading(residual)
             residual = 0.0
-        noise = np.array([[self._config.course_sd_rad**2 + extra]])
-        f.update(jacobian, np.array([residual]), noise)
+        variance = float(jacobian[0] @ f.p @ jacobian[0]) + self._config.course_sd_rad**2
+        if not self.gate.refuses(GPS, self._clock.stamp_s, (residual, variance)):
+            self._correct_course(jacobian, residual)
+
+    def _correct_course(self, jacobian: Floats, residual_rad: float) -> None:
+        noise = np.array([[self._config.course_sd_rad**2]])
+        self._angles.update(jacobian, np.array([residual_rad]), noise)
 
     def _set_heading(self, change_rad: float) -> None:
         """Before the first course the heading is anything; later steps are small and linear."""
@@ -263,7 +275,11 @@ class TwoLayerKalman:
             measured = np.array(rotate(speed, 0.0, beta))
         across = speed * speed * beta_variance + 1e-4
         noise = rotate_covariance(np.diag([self._config.speed_sd_mps**2, across]), beta)
-        self._speeds.update(jacobian, measured - jacobian @ self._speeds.x, noise)
+        f, residual = self._speeds, measured - jacobian @ self._speeds.x
+        variances = np.einsum("ij,jk,ik->i", jacobian, f.p, jacobian) + np.diag(noise)
+        numbers = zip(residual.tolist(), variances.tolist(), strict=True)
+        if not self.gate.refuses(GPS_SPEED, self._clock.stamp_s, *numbers):
+            f.update(jacobian, residual, noise)
 
     def _mean(self) -> Floats:
         return np.concatenate([self._angles.x[:5], self._speeds.x[:2]])

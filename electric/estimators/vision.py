@@ -13,6 +13,7 @@ from polemap.electric.config import (
     EstimatorConfig,
 )
 from polemap.electric.estimators.base import Clock, Estimate, Inputs, OutputBridge
+from polemap.electric.estimators.gate import Gate
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import bend_of_lane, combined_vision, schedule
 
@@ -64,6 +65,7 @@ class VisionFilter:
         self._camera_noise = np.diag([config.heading_sd_rad**2, config.lateral_offset_sd_m**2])
         self._bridge = OutputBridge(4)
         self.dropped: dict[str, int] = {}
+        self.gate = Gate(config, self.dropped)
 
     def _model(self, stamp_s: float, inputs: Inputs) -> tuple[Floats, Floats, Floats] | None:
         """G, H u and Q of the step to `stamp_s`, or None at the first."""
@@ -81,6 +83,14 @@ class VisionFilter:
             wrong = inputs.speed_mps * self._config.curvature_sd_per_m
             q[2, 2] += wrong * wrong * CURVATURE_ERROR_S * elapsed
         return g, driven, q
+
+    def _wild(
+        self, kind: str, stamp_s: float, residual: Floats, covariance: Floats, noise: Floats
+    ) -> bool:
+        """Whether the gate refuses a value: `residual` `(m,)`, its prior and noise `(m, m)`."""
+        variances = np.diag(covariance) + np.diag(noise)
+        numbers = zip(residual.tolist(), variances.tolist(), strict=True)
+        return self.gate.refuses(kind, stamp_s, *numbers)
 
     def _drop(self, reason: str) -> None:
         self.dropped[reason] = self.dropped.get(reason, 0) + 1
