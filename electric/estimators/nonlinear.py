@@ -24,7 +24,6 @@ from polemap.electric.estimators.base import (
     Value,
     pair,
 )
-from polemap.electric.estimators.gate import Gate
 from polemap.vehicle.axles import Axles
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
@@ -123,7 +122,6 @@ class NonlinearKalman:
         self._step_s = config.step_s
         self._headed = False
         self.dropped: dict[str, int] = {}
-        self.gate = Gate(config, self.dropped)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         t = self._clock.advance(stamp_s)

@@ -26,9 +26,7 @@ PATTERN_S = (0.020, 0.015, 0.010, 0.025)  # delays of successive pictures, W13
 
 # The papers print no process noise and no steering; these are ours and serve all studies.
 # No gates: the papers' filters as they are printed.
-MISMATCH = EstimatorConfig(
-    sideslip_walk_rad=0.02, yaw_rate_walk_radps=0.2, innovation_gate_sd=0.0
-)
+MISMATCH = EstimatorConfig(sideslip_walk_rad=0.02, yaw_rate_walk_radps=0.2, innovation_gate_sd=0.0)
 MATCHED = EstimatorConfig(
     sideslip_walk_rad=0.0316, yaw_rate_walk_radps=0.316, innovation_gate_sd=0.0
 )

@@ -15,7 +15,13 @@ from polemap.vehicle.io import load_car
 
 COMS = load_car("coms")
 SEEING = [name for name, entry in ESTIMATORS.items() if CAMERA in entry.late]
-HEARING_GPS = ["two_layer", "two_layer_reconstructed", "two_layer_ignored", "stiffness", "nonlinear"]
+HEARING_GPS = [
+    "two_layer",
+    "two_layer_reconstructed",
+    "two_layer_ignored",
+    "stiffness",
+    "nonlinear",
+]
 STEP_S = 0.005
 GATED = MATCHED.model_copy(update={"innovation_gate_sd": 5.0, "step_s": STEP_S, "gps_slots": 2})
 OPEN = GATED.model_copy(update={"innovation_gate_sd": 0.0})
