@@ -72,7 +72,7 @@ class LateCameraFilter(VisionFilter, ABC):
 
     @abstractmethod
     def _expected(self, stamp_s: float) -> tuple[Floats, Floats] | None:
-        """Heading and offset `(2,)` of a capture with their covariance; None where there is none."""
+        """Heading and offset `(2,)` of a capture with their covariance; None without one."""
 
     @abstractmethod
     def _take_picture(self, measured: Floats, stamp_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Innovation gates: a value that cannot be true moves no estimator, and none is shut out for good."""
+"""Innovation gates: what cannot be true moves no estimator, and nothing is shut out for good."""
 
 from __future__ import annotations
 
