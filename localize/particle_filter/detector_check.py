@@ -164,6 +164,9 @@ class DetectorCheck:
             looks.pop(0)
         if not proven or travelled_m - self._fitted_m < _INTERVAL_M:
             return False
+        if not len(looks[-1].map_points_m):
+            # nothing new, and a path that is laid by a pose that nothing holds
+            return False
         self._fitted_m = travelled_m
         self._speed_mps = abs(rates[0])
         return self._judge(pose, travelled_m)

@@ -338,7 +338,7 @@ class ParticleFilter:
         possible = max(min(float(len(scan)), fit.expected), float(fit.matched))
         unmatched = self._recovery.unmatched.contradict(scan.stamp_s, fit.matched, possible)
         # where no pole has held the pose lately, one that fails says nothing of the detector
-        held = self._recovery.held(scan.stamp_s)
+        held = self._recovery.held_anew(scan.stamp_s)
         independent = independent_share(step.moved_m, step.elapsed_s, config.poles)
         strange = self._recovery.strange
         if event is None:

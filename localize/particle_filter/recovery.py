@@ -33,6 +33,8 @@ _EXPLORE_SHARE_MAX = 0.2
 _DOUBT_INTERVALS = 4.0
 # independent poles that must have fitted, the last of them not longer ago
 _HELD_POLES, _HELD_S = 12.0, 3.0
+# poles that come after so long without any must hold the pose anew before they accuse the detector
+_ANEW_S = 10.0
 # poles that match nothing send half of the particles around, once a second, as far as odometry may
 # have been wrong over so long a way
 _SCATTER_S, _SCATTER_SHARE, _SCATTER_MAX_M = 1.0, 0.5, 30.0
@@ -83,6 +85,7 @@ class Recovery:
         self._matched_at_m = 0.0
         self._held_by = 0.0
         self._matched_s = -np.inf
+        self._held_anew_by = 0.0
         self.explored_share = 0.0
 
     def use_map(self, pole_map: PoleMap) -> None:
@@ -164,8 +167,11 @@ class Recovery:
     def add_held(self, stamp_s: float, matched: int, share: float) -> None:
         """Take in the poles of a scan that fit, and the share of it that is independent."""
         if not self.proof.proven or self.strange.contradict:
-            self._held_by = 0.0
+            self._held_by = self._held_anew_by = 0.0
         elif matched:
+            if stamp_s - self._matched_s > _ANEW_S:
+                self._held_anew_by = 0.0
+            self._held_anew_by += matched * share
             self._held_by += matched * share
             self._matched_s = stamp_s
 
@@ -174,6 +180,10 @@ class Recovery:
         wrong."""
         lately = stamp_s - self._matched_s <= _HELD_S
         return lately and self._held_by >= _HELD_POLES
+
+    def held_anew(self, stamp_s: float) -> bool:
+        """Whether they have done so since the last time that none was found for long."""
+        return self.held(stamp_s) and self._held_anew_by >= _HELD_POLES
 
     def scatter(self, particles: ParticleSet, stamp_s: float, travelled_m: float) -> None:
         """Poles are seen and match nothing: half of the particles look around.

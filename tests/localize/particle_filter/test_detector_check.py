@@ -187,3 +187,16 @@ def test_scans_without_poles_are_taken() -> None:
         pose = np.array([float(k), 0.0, 0.0])
         assert not check.add_scan(empty, landmarks, pose, pose, float(k), (1.0, 0.0))
     assert check.fit is None
+
+
+def test_a_pose_that_drifts_where_no_pole_is_seen_accuses_nobody() -> None:
+    check, found = drive(2)
+    assert not check.contradicts
+    landmarks = mapped(street(np.random.default_rng(2)))
+    for k in range(80):
+        way = 250.0 + 1.0 * k
+        pose = np.array([way, 0.2 * k, 0.02 * k])
+        empty = scan_at(30.0 + 0.1 * k, np.empty((0, 2)))
+        check.add_scan(empty, landmarks, pose, np.array([way, 0.0, 0.0]), way, (10.0, 0.0))
+    assert not check.contradicts
+    assert found[-1] == ""
