@@ -90,7 +90,7 @@ def test_update_diff_picture_and_layer(place: Path, capsys: pytest.CaptureFixtur
 def test_workers_and_tiles_give_the_same_rows(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drives = [str(place / "monday"), str(place / "friday")]
     assert run(["map", *drives, "--out", str(place / "one.parquet")]) == 0
-    monkeypatch.setattr("polemap.tools.map.TILE_M", 60.0)
+    monkeypatch.setattr("polemap.tools.map_job.TILE_M", 60.0)
     tiles = ["--workers", "2"]
     assert run(["map", *drives[::-1], "--out", str(place / "many.parquet"), *tiles]) == 0
     assert not list(place.glob(".*checkpoints"))

@@ -248,7 +248,7 @@ def test_a_drive_in_another_zone_than_its_map_is_told_which(zone: int) -> None:
     drive = Drive("d", Path("d"), EarthFrame("utm", zone), 2.7, reference=reference)
     (found,) = check_map_of_drive(pole_map.to_frame(drive.frame), drive)
     assert (found.kind, found.severity) == ("map_far", "error")
-    assert found.remedy == "write epsg 32633 in drive.yaml"
+    assert found.remedy == f"write epsg 32633 in {drive.names.head}"
     right = replace(drive, frame=pole_map.frame)
     assert check_map_of_drive(pole_map, right) == []
     far = replace(right, reference=replace(reference, poses=poses + np.array([5e4, 0, 0])))
