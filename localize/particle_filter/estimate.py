@@ -108,6 +108,17 @@ def mean_and_covariance(poses: Floats, weights: Floats) -> tuple[Floats, Floats]
     return centre, (deviation * weights[:, np.newaxis]).T @ deviation
 
 
+def best_pose(mean: Floats, covariance: Floats, modes: list[Mode]) -> tuple[Floats, Floats]:
+    """Pose and covariance of the best mode, also where the others are too light to count: they
+    would still pull the mean. What is too light to be a mode counts for what is not known."""
+    pose, spread = modes[0].mean, modes[0].covariance
+    if len(modes) == 1:
+        away = pose - mean
+        away[2] = wrap_angle(away[2])
+        spread = covariance + np.outer(away, away)
+    return pose, spread
+
+
 def position_sd(covariance: Floats) -> tuple[float, float]:
     """Standard deviations in metres along the major and the minor axis of the position ellipse."""
     half_trace = 0.5 * (covariance[0, 0] + covariance[1, 1])

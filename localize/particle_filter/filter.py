@@ -17,22 +17,14 @@ from polemap.localize.gnss.particle_weights import FixWeights
 from polemap.localize.map_window import MapWindow
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.odometry_watch import Held
-from polemap.localize.particle_filter.detector_check import DetectorCheck
-from polemap.localize.particle_filter.estimate import (
-    Event,
-    HealthRecord,
-    PfEstimate,
-    mean_and_covariance,
-    modes_of,
-    position_sd,
-)
+from polemap.localize.particle_filter.assessment import Assessment, Weighed
+from polemap.localize.particle_filter.estimate import Event, PfEstimate, mean_and_covariance
 from polemap.localize.particle_filter.exploration import normalized_quality
-from polemap.localize.particle_filter.health import PROVEN_SD_M
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.motion_noise import NoiseScale
 from polemap.localize.particle_filter.odometry_faults import demand
 from polemap.localize.particle_filter.odometry_trust import OdometryTrust
-from polemap.localize.particle_filter.particles import ParticleSet, effective_count, log_mean
+from polemap.localize.particle_filter.particles import ParticleSet, log_mean
 from polemap.localize.particle_filter.pole_weigher import (
     PoleWeigher,
     independent_share,
@@ -43,7 +35,7 @@ from polemap.localize.particle_filter.twins import TwinPoles
 from polemap.localize.place.claims import patterns_of
 from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
-from polemap.vehicle.pose import compose, relative, rotate, wrap_angle
+from polemap.vehicle.pose import compose, relative, rotate
 
 Floats = NDArray[np.float64]
 # share of the first scan that counts: particles from a start are few for a sharp scan
@@ -57,8 +49,6 @@ _START_FACTOR = 4
 _ARC_S = 0.06
 # a pose older than this is no start: the odometry that is kept must reach back to it
 _STALE_S = 60.0
-# what dead reckoning may be off by between two proven places, m, and as a share of the way
-_STAYED_M, _STAYED_SHARE = 0.3, 0.02
 # share of the particles that must stay effective when a sharp scan meets wide-spread particles
 _MIN_EFFECTIVE_SHARE = 0.03
 
@@ -106,14 +96,13 @@ class ParticleFilter:
         self._used_share = 0.0
         self._trusted = False
         self._odometry = OdometryTrust()
-        self._twins = TwinPoles(poles)
-        self._window.users += [self._weigher, self._recovery, self._twins]
+        twins = TwinPoles(poles)
+        self._window.users += [self._weigher, self._recovery, twins]
+        self._assessment = Assessment(
+            config, self._weigher, self._recovery, self._fixes, self._odometry, twins, self.counts
+        )
         # of the last estimate
         self._pose, self._odometry_pose = np.zeros(3), np.zeros(3)
-        self._spread = np.eye(3)
-        self._detector = DetectorCheck(config.poles)
-        # pose, odometry's pose and way where poles began to contradict the place
-        self._left: tuple[Floats, Floats, float] | None = None
 
     @property
     def initialized(self) -> bool:
@@ -250,13 +239,18 @@ class ParticleFilter:
                 # a restart starts clean: what was learned at a wrong place is wrong
                 self._calibration.forget()
                 self._noise.reset()
-        estimate = self._estimate(scan, event, step)
+        done = Weighed(
+            scan, event, step, particles, self._landmarks, self._used_share,
+            self._pose, self._odometry_pose,
+        )  # fmt: skip
+        estimate = self._assessment.estimate(done, self._history, self.correction)
         self._pose, self._odometry_pose = estimate.pose, odometry_pose
         particles.resample_by_weight(estimate.health.n_eff)
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
         held = self._trusted and estimate.health.matched >= 2
-        self._calibration.learn_from_pose(stamp, estimate.pose, self._spread, held)
+        spread = self._assessment.learned_spread
+        self._calibration.learn_from_pose(stamp, estimate.pose, spread, held)
         return estimate
 
     def _mapped(self, scan: Detections, odometry_pose: Floats) -> Detections:
@@ -295,141 +289,3 @@ class ParticleFilter:
         self._recovery.averages.add_quality(
             scan.stamp_s, normalized_quality(result, before, len(scan))
         )
-
-    def _estimate(self, scan: Detections, event: Event | None, step: Step) -> PfEstimate:
-        config = self._config
-        rear, weights = self._particles.rear, self._particles.weights
-        mean, covariance = mean_and_covariance(rear, weights)
-        major, minor = position_sd(covariance)
-        modes = modes_of(rear, weights, mean, covariance)
-        pose, spread = mean, covariance
-        if config.estimate == "best_mode" and modes:
-            # also where the others are too light to count: they would still pull the mean
-            pose, spread = modes[0].mean, modes[0].covariance
-            if len(modes) == 1:
-                # what is too light to be a mode still counts for what is not known
-                away = pose - mean
-                away[2] = wrap_angle(away[2])
-                spread = covariance + np.outer(away, away)
-        twins = self._twins.offset_at(pose[:2])
-        if twins.any():
-            # of two places as far apart as the map's two surveys nobody knows which
-            spread = spread.copy()
-            spread[:2, :2] += np.outer(twins, twins)
-            major = float(np.hypot(major, np.hypot(*twins)))
-        if self._recovery.proof.proven:
-            spread = spread.copy()
-            spread[:2, :2] += self._recovery.strange.map_sd_m**2 * np.eye(2)
-        fit = self._weigher.match(pose, scan, self._landmarks)
-        self._recovery.lost.add_match(
-            scan.stamp_s,
-            fit.matched,
-            len(scan),
-            fit.expected,
-            float(np.sqrt(major * minor)),
-            self._fixes.distance_sd(pose, spread),
-            held=self._recovery.held(scan.stamp_s),
-        )
-        if event in ("initialized", "reinitialized"):
-            self._recovery.proof.begin()
-        else:
-            narrow = len(modes) == 1 and major <= PROVEN_SD_M
-            self._recovery.prove(scan, fit, pose, step, narrow=narrow)
-        possible = max(min(float(len(scan)), fit.expected), float(fit.matched))
-        unmatched = self._recovery.unmatched.contradict(scan.stamp_s, fit.matched, possible)
-        # where no pole has held the pose lately, one that fails says nothing of the detector
-        held = self._recovery.held_anew(scan.stamp_s)
-        independent = independent_share(step.moved_m, step.elapsed_s, config.poles)
-        strange = self._recovery.strange
-        if event is None:
-            before = strange.contradict
-            self._recovery.add_held(scan.stamp_s, fit.matched, independent)
-            strange.add_scan(
-                fit.matched, len(scan), fit.misfit, independent, mapped=fit.in_view > 0
-            )
-            if strange.contradict and not before:
-                self.counts["poles_contradict"] += 1
-                self._recovery.proof.doubt()
-                if held:
-                    self._detector.suspect()
-                    self._left = self._pose, self._odometry_pose, step.travelled_m
-        unmatched |= strange.contradict
-        narrow = len(modes) == 1 and major <= PROVEN_SD_M
-        self._check_detector(scan, event, pose, step, narrow=narrow, held=held)
-        hint_m, hint_rad = self._detector.hinted_sd
-        self._spread = spread
-        if hint_m > 0.0:
-            # stated, but nothing that is learned from the pose
-            spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
-        opinion = self._odometry.opinion(self._particles, fit.matched, step.elapsed_s)
-        if opinion == "contradicted" and held:
-            self._detector.suspect()
-            self._left = None
-        elif self._left is not None and not strange.contradict and self._recovery.proof.proven:
-            if _stayed(self._left, pose, step):
-                self._detector.absolve()
-            self._left = None
-        settled = self._recovery.proof.proven and len(modes) == 1
-        narrow = major <= config.health.sd_max_m
-        usable = settled and narrow and self._recovery.lost.fits and not unmatched
-        healthy = usable and not self._odometry.doubted and opinion != "contradicted"
-        healthy &= self._detector.acquitted and not self._detector.contradicts
-        healthy &= bool(np.hypot(major, hint_m) <= config.health.sd_max_m)
-        detector = self._detector.contradicts
-        if not detector and not self._detector.acquitted:
-            detector = "unproven"
-        health = HealthRecord(
-            stamp_s=scan.stamp_s,
-            matched=fit.matched,
-            seen=len(scan),
-            in_view=fit.in_view,
-            n_eff=effective_count(weights),
-            position_sd_major_m=major,
-            position_sd_minor_m=minor,
-            exploration_ratio=self._recovery.explored_share,
-            lag_s=scan.arrival_s - scan.stamp_s,
-            particles=len(rear),
-            match_share=self._recovery.lost.match_share,
-            modes=len(modes),
-            mode_share=modes[0].share if modes else 0.0,
-            evidence_share=self._used_share,
-            yaw_rate_offset_radps=self.correction.yaw_rate_offset_radps,
-            speed_scale=self.correction.speed_scale,
-        )
-        return PfEstimate(
-            scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, event,
-            usable, opinion, detector,
-        )  # fmt: skip
-
-    def _check_detector(
-        self,
-        scan: Detections,
-        event: Event | None,
-        pose: Floats,
-        step: Step,
-        *,
-        narrow: bool,
-        held: bool,
-    ) -> None:
-        check = self._detector
-        if self._odometry.doubted or event in ("initialized", "reinitialized"):
-            check.forget()
-            if event == "reinitialized" and held:
-                check.suspect()
-                self._left = None
-        elif (proven := self._recovery.proof.proven) or narrow:
-            rates = self._history.rates_at(scan.stamp_s)
-            if check.add_scan(
-                scan, self._landmarks, pose, step.odometry_pose, step.travelled_m, rates,
-                proven=proven,
-            ):  # fmt: skip
-                self.counts[f"detector_{check.contradicts}"] += 1
-
-
-def _stayed(left: tuple[Floats, Floats, float], pose: Floats, step: Step) -> bool:
-    """Whether a place that is proven again is where the odometry has led to meanwhile: then what
-    did not fit was the map, as where it ends."""
-    pose_then, odometry_then, travelled_m = left
-    expected = compose(pose_then, relative(odometry_then, step.odometry_pose))
-    off_m = float(np.hypot(*(pose - expected)[:2]))
-    return off_m <= _STAYED_M + _STAYED_SHARE * (step.travelled_m - travelled_m)

@@ -8,27 +8,12 @@ import numpy as np
 import pytest
 
 from polemap.build.map_diff import match_points
-from polemap.drivelog.writers.folder import folder_writer
 from polemap.map.io import read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.tools.cli import run
-from tests.polemap.build.slam.loops import Simulated, beside, block, simulated
+from tests.polemap.build.slam.loops import Simulated, beside, block, simulated, write_simulated
 
 pytest.importorskip("gtsam")
-
-
-def write(folder: Path, sim: Simulated) -> Path:
-    drive = sim.drive
-    with folder_writer(
-        folder, name=folder.name, frame=drive.frame, wheelbase_m=drive.wheelbase_m,
-        pole_view=drive.scans[0].view, gnss_antenna_m=drive.gnss_antenna_m,
-    ) as writer:  # fmt: skip
-        assert drive.odometry is not None
-        assert drive.gnss is not None
-        writer.odometry(drive.odometry)
-        writer.gnss(drive.gnss)
-        writer.scans(drive.scans)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +27,7 @@ def sim() -> Simulated:
 def place(tmp_path_factory: pytest.TempPathFactory, sim: Simulated) -> Path:
     """A drive round a block, and a map of its near half."""
     folder = tmp_path_factory.mktemp("learn")
-    write(folder / "taxi", sim)
+    write_simulated(folder / "taxi", sim)
     near = sim.poles.points_m[:, 0] < 40.0
     points = sim.poles.points_m[near]
     n = len(points)

@@ -13,31 +13,13 @@ import pytest
 from polemap.build.map_diff import match_points
 from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.tum import read_tum
-from polemap.drivelog.writers.folder import folder_writer
 from polemap.map.io import read_map
 from polemap.tools.cli import run
 from polemap.tools.map_slam import file_stem
 from polemap.vehicle.pose import rigid_fit, transform_points
-from tests.polemap.build.slam.loops import Simulated, beside, block, simulated
+from tests.polemap.build.slam.loops import Simulated, beside, block, simulated, write_simulated
 
 pytest.importorskip("gtsam")
-
-
-def write(folder: Path, sim: Simulated, *, reference: bool = False) -> Path:
-    drive = sim.drive
-    with folder_writer(
-        folder, name=folder.name, frame=drive.frame, wheelbase_m=drive.wheelbase_m,
-        pole_view=drive.scans[0].view, gnss_antenna_m=drive.gnss_antenna_m,
-    ) as writer:  # fmt: skip
-        assert drive.odometry is not None
-        assert drive.gnss is not None
-        writer.odometry(drive.odometry)
-        writer.gnss(drive.gnss)
-        writer.scans(drive.scans)
-        if reference:
-            assert drive.reference is not None
-            writer.reference(drive.reference)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +32,7 @@ def sim() -> Simulated:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory, sim: Simulated) -> Path:
     place = tmp_path_factory.mktemp("slam")
-    drive = write(place / "taxi", sim)
+    drive = write_simulated(place / "taxi", sim)
     arguments = ["map", str(drive), "--out", str(place / "map.gpkg"), "--poses", str(place / "p")]
     assert run(arguments) == 0
     return place
@@ -109,7 +91,7 @@ def test_an_update_localizes_in_the_old_map(
     # the old map stands where its own fixes had it; its drive is the one that is given again
     second = built / "second"
     if not second.exists():
-        write(second, replace(sim, drive=replace(sim.drive, reference=None)))
+        write_simulated(second, replace(sim, drive=replace(sim.drive, reference=None)))
     del rng
     out = built / "updated.gpkg"
     arguments = ["map", str(second), "--update", str(built / "map.gpkg"), "--out", str(out)]
@@ -127,7 +109,7 @@ def test_what_does_not_go_together_is_one_line(
     taxi, out = str(built / "taxi"), str(built / "x.gpkg")
     assert run(["map", taxi, "--slam", "--workers", "2", "--out", out]) == 2
     assert "leave out --workers" in capsys.readouterr().err
-    surveyed = write(built / "surveyed", sim, reference=False)
+    surveyed = write_simulated(built / "surveyed", sim, reference=False)
     shutil.copy(built / "p" / "taxi.csv", surveyed / "reference.csv")
     assert run(["map", str(surveyed), "--out", out, "--poses", str(built / "q")]) == 2
     assert "--poses writes what --slam solves for" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.motion import MotionNoise
 from polemap.build.slam.slam import SlamResult, solve_slam
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.writers.folder import folder_writer
 from polemap.simulate.config import DetectorConfig, GnssConfig, OdometryConfig
 from polemap.simulate.points.drive import ODOMETRY, PointScenario, simulate_points
 from polemap.simulate.points.motion import GivenPoses
@@ -121,3 +123,21 @@ def yaw_errors(result: SlamResult, truth: Floats) -> Floats:
     poses = result.references[0].at(stamps)
     known = np.isfinite(poses).all(axis=1)
     return np.abs(wrap_angle(poses[known, 2] - truth[known, 2]))
+
+
+def write_simulated(folder: Path, sim: Simulated, *, reference: bool = False) -> Path:
+    """The drive as a plain folder."""
+    drive = sim.drive
+    with folder_writer(
+        folder, name=folder.name, frame=drive.frame, wheelbase_m=drive.wheelbase_m,
+        pole_view=drive.scans[0].view, gnss_antenna_m=drive.gnss_antenna_m,
+    ) as writer:  # fmt: skip
+        assert drive.odometry is not None
+        assert drive.gnss is not None
+        writer.odometry(drive.odometry)
+        writer.gnss(drive.gnss)
+        writer.scans(drive.scans)
+        if reference:
+            assert drive.reference is not None
+            writer.reference(drive.reference)
+    return folder

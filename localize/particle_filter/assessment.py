@@ -1,0 +1,196 @@
+"""After a scan is weighed: the pose to hand on, what is stated of it, and whether it is healthy."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.detections import Detections
+from polemap.localize.calibration import OdometryCorrection
+from polemap.localize.config import LocalizeConfig
+from polemap.localize.gnss.particle_weights import FixWeights
+from polemap.localize.odometry_history import OdometryHistory
+from polemap.localize.particle_filter.detector_trust import DetectorTrust
+from polemap.localize.particle_filter.estimate import (
+    Event,
+    HealthRecord,
+    Mode,
+    PfEstimate,
+    best_pose,
+    mean_and_covariance,
+    modes_of,
+    position_sd,
+)
+from polemap.localize.particle_filter.health import PROVEN_SD_M
+from polemap.localize.particle_filter.landmarks import Landmarks
+from polemap.localize.particle_filter.odometry_trust import OdometryTrust
+from polemap.localize.particle_filter.particles import ParticleSet, effective_count
+from polemap.localize.particle_filter.pole_weigher import Match, PoleWeigher, independent_share
+from polemap.localize.particle_filter.recovery import Recovery, Step
+from polemap.localize.particle_filter.twins import TwinPoles
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """What a scan has left: its event and step, the particles after it, poses of the one before.
+
+    Attributes:
+        share: power that the scan's likelihood was raised to.
+        last_pose, last_odometry_pose: of the last estimate.
+    """
+
+    scan: Detections
+    event: Event | None
+    step: Step
+    particles: ParticleSet
+    landmarks: Landmarks
+    share: float
+    last_pose: Floats
+    last_odometry_pose: Floats
+
+    @property
+    def restarted(self) -> bool:
+        """Whether the particles were just drawn at a new place."""
+        return self.event in ("initialized", "reinitialized")
+
+
+class Assessment:
+    """Estimates a pose of weighed particles and judges it: place, odometry and detector.
+
+    Each of them may be why poles do not fit; which one is told by when it happened and by what the
+    others have proven.
+    """
+
+    def __init__(
+        self, config: LocalizeConfig, weigher: PoleWeigher, recovery: Recovery, fixes: FixWeights,
+        odometry: OdometryTrust, twins: TwinPoles, counts: Counter[str],
+    ) -> None:  # fmt: skip
+        self._config, self._counts = config, counts
+        self._weigher, self._recovery, self._fixes = weigher, recovery, fixes
+        self._odometry, self._twins = odometry, twins
+        self._detector = DetectorTrust(config.poles, counts)
+        # what the odometry's calibration learns by: without what is only suspected
+        self.learned_spread: Floats = np.eye(3)
+
+    def estimate(
+        self, done: Weighed, history: OdometryHistory, correction: OdometryCorrection
+    ) -> PfEstimate:
+        """The pose after a scan, its covariance and its health."""
+        scan, particles = done.scan, done.particles
+        pose, spread, modes, major, minor = self._pose(particles)
+        fit = self._weigher.match(pose, scan, done.landmarks)
+        self._recovery.lost.add_match(
+            scan.stamp_s,
+            fit.matched,
+            len(scan),
+            fit.expected,
+            float(np.sqrt(major * minor)),
+            self._fixes.distance_sd(pose, spread),
+            held=self._recovery.held(scan.stamp_s),
+        )
+        narrow = len(modes) == 1 and major <= PROVEN_SD_M
+        unmatched, held = self._judge_place(done, fit, pose, narrow=narrow)
+        self._check_detector(done, pose, history, narrow=narrow, held=held)
+        hint_m, hint_rad = self._detector.check.hinted_sd
+        self.learned_spread = spread
+        if hint_m > 0.0:
+            # stated, but nothing that is learned from the pose
+            spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
+        opinion = self._odometry.opinion(particles, fit.matched, done.step.elapsed_s)
+        if opinion == "contradicted" and held:
+            self._detector.odometry_contradicts()
+        elif not self._recovery.strange.contradict and self._recovery.proof.proven:
+            self._detector.place_proven(pose, done.step)
+        limit_m = self._config.health.sd_max_m
+        settled = self._recovery.proof.proven and len(modes) == 1
+        usable = settled and major <= limit_m and self._recovery.lost.fits and not unmatched
+        healthy = usable and not self._odometry.doubted and opinion != "contradicted"
+        healthy &= self._detector.believed
+        healthy &= bool(np.hypot(major, hint_m) <= limit_m)
+        health = HealthRecord(
+            stamp_s=scan.stamp_s,
+            matched=fit.matched,
+            seen=len(scan),
+            in_view=fit.in_view,
+            n_eff=effective_count(particles.weights),
+            position_sd_major_m=major,
+            position_sd_minor_m=minor,
+            exploration_ratio=self._recovery.explored_share,
+            lag_s=scan.arrival_s - scan.stamp_s,
+            particles=len(particles),
+            match_share=self._recovery.lost.match_share,
+            modes=len(modes),
+            mode_share=modes[0].share if modes else 0.0,
+            evidence_share=done.share,
+            yaw_rate_offset_radps=correction.yaw_rate_offset_radps,
+            speed_scale=correction.speed_scale,
+        )
+        return PfEstimate(
+            scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, done.event,
+            usable, opinion, self._detector.reason,
+        )  # fmt: skip
+
+    def _pose(self, particles: ParticleSet) -> tuple[Floats, Floats, list[Mode], float, float]:
+        """Pose, covariance, modes, and the larger and smaller deviation of position."""
+        rear, weights = particles.rear, particles.weights
+        mean, covariance = mean_and_covariance(rear, weights)
+        major, minor = position_sd(covariance)
+        modes = modes_of(rear, weights, mean, covariance)
+        pose, spread = mean, covariance
+        if self._config.estimate == "best_mode" and modes:
+            pose, spread = best_pose(mean, covariance, modes)
+        twins = self._twins.offset_at(pose[:2])
+        if twins.any():
+            # of two places as far apart as the map's two surveys nobody knows which
+            spread = spread.copy()
+            spread[:2, :2] += np.outer(twins, twins)
+            major = float(np.hypot(major, np.hypot(*twins)))
+        if self._recovery.proof.proven:
+            spread = spread.copy()
+            spread[:2, :2] += self._recovery.strange.map_sd_m**2 * np.eye(2)
+        return pose, spread, modes, major, minor
+
+    def _judge_place(
+        self, done: Weighed, fit: Match, pose: Floats, *, narrow: bool
+    ) -> tuple[bool, bool]:
+        """Whether poles contradict the place, and whether poles have held the pose lately."""
+        scan, step, recovery = done.scan, done.step, self._recovery
+        if done.restarted:
+            recovery.proof.begin()
+        else:
+            recovery.prove(scan, fit, pose, step, narrow=narrow)
+        possible = max(min(float(len(scan)), fit.expected), float(fit.matched))
+        unmatched = recovery.unmatched.contradict(scan.stamp_s, fit.matched, possible)
+        # where no pole has held the pose lately, one that fails says nothing of the detector
+        held = recovery.held_anew(scan.stamp_s)
+        independent = independent_share(step.moved_m, step.elapsed_s, self._config.poles)
+        strange = recovery.strange
+        if done.event is None:
+            before = strange.contradict
+            recovery.add_held(scan.stamp_s, fit.matched, independent)
+            strange.add_scan(
+                fit.matched, len(scan), fit.misfit, independent, mapped=fit.in_view > 0
+            )
+            if strange.contradict and not before:
+                self._counts["poles_contradict"] += 1
+                recovery.proof.doubt()
+                if held:
+                    self._detector.poles_contradict(
+                        done.last_pose, done.last_odometry_pose, step.travelled_m
+                    )
+        return unmatched or strange.contradict, held
+
+    def _check_detector(
+        self, done: Weighed, pose: Floats, history: OdometryHistory, *, narrow: bool, held: bool
+    ) -> None:
+        if self._odometry.doubted or done.restarted:
+            self._detector.forget(accused=done.event == "reinitialized" and held)
+        elif (proven := self._recovery.proof.proven) or narrow:
+            self._detector.add_scan(
+                done.scan, done.landmarks, pose, done.step, history, proven=proven
+            )
