@@ -54,6 +54,10 @@ class OdometryStream(Columns):
         )
 
 
+# a receiver's deviation an axis at a dilution of one: the localizer's `gnss.sd_m`
+SD_AT_DILUTION_ONE_M = 2.5
+
+
 @dataclass(frozen=True, slots=True)
 class GnssStream(Columns):
     """GNSS fixes of the antenna in the drive's frame; every array `(n,)`, sorted by `stamp_s`."""

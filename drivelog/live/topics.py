@@ -26,9 +26,9 @@ from polemap.drivelog.readers.bags.fields import COLUMNS, by_path, extract_of
 from polemap.drivelog.readers.bags.frames import PAIR_TOLERANCE_NS, decode_picture
 from polemap.drivelog.readers.bags.odometry_signals import speed_factor
 from polemap.drivelog.readers.bags.pictures import grey
-from polemap.drivelog.readers.bags.signals import SD_AT_DILUTION_ONE_M
 from polemap.drivelog.readers.bags.types import kind_of
 from polemap.drivelog.samples import GnssFix, Image, OdometrySample
+from polemap.drivelog.streams import SD_AT_DILUTION_ONE_M
 from polemap.parsing.errors import named
 from polemap.stereo.rectify import Rectifier
 

@@ -10,6 +10,8 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding, worst_first
 from polemap.drivelog.plausibility import (
     absolute,
+    accuracy,
+    antenna,
     detector_place,
     fix_delay,
     motion,
@@ -18,9 +20,11 @@ from polemap.drivelog.plausibility import (
     reference,
     resolution,
     rows,
+    steering,
     stretches,
     time,
 )
+from polemap.drivelog.plausibility.jitter import without_jitter
 from polemap.drivelog.plausibility.odometer import (
     Odometer,
     of_gnss,
@@ -44,6 +48,7 @@ def check_drive(drive: Drive) -> list[Finding]:
     found += time.gap_findings(drive) + rows.row_findings(drive)
     found += resolution.resolution_findings(drive)
     found += absolute.duplicate_findings(drive) + absolute.vehicle_findings(drive)
+    found += steering.wheelbase_findings(drive)
     found += absolute.camera_findings(drive)
     found += absolute.gnss_findings(drive) + absolute.pole_findings(drive)
     found += places.zone_findings(drive) + places.distance_findings(drive)
@@ -61,7 +66,7 @@ def _motion(drive: Drive) -> list[Finding]:
         gnss = _moving(of_gnss(drive.gnss, names.gnss))
     posed = drive.reference is not None and len(drive.reference) > 5
     if posed and drive.reference is not None:
-        yawed = of_reference(drive.reference, names.reference)
+        yawed = of_reference(without_jitter(drive.reference), names.reference)
     found = reference.range_findings(drive)
     turn_ratio = float("nan")
     if odometry is not None and yawed is not None:
@@ -100,11 +105,16 @@ def _motion(drive: Drive) -> list[Finding]:
         return found
     quiet = not any(f.stream in (names.odometry, names.reference) for f in found)
     if quiet and offset is None:
-        found += fix_delay.delay_findings(drive, teller, heading_known=posed_well)
+        late = fix_delay.delay_findings(drive, teller, heading_known=posed_well)
+        found += late or antenna.antenna_findings(drive, teller, heading_known=posed_well)
+        found += accuracy.fix_findings(drive, teller, is_reference=posed_well)
+        if posed_well and odometry is not None:
+            found += accuracy.pose_findings(drive, odometry)
     agreed = odometry is not None and (trusted is not None or gnss is not None)
     of_poles = poles.motion_findings(drive, teller, confirmed=agreed)
     if quiet and not of_poles:
         of_poles = detector_place.place_findings(drive, teller, surveyed=posed_well)
+        of_poles = of_poles or accuracy.variance_findings(drive, teller)
     return found + of_poles
 
 

@@ -7,7 +7,8 @@ ten seconds the fixes are held against the way that the reference, or else the o
 
 with b constant in a stretch, h the heading, v the velocity, and L an antenna farther ahead than
 stated, which only changes of speed tell from a delay. A way of the odometry has unknowns of its own
-in every stretch: heading, scale of the speed, offset of the yaw rate.
+in every stretch: heading, scale of the speed, offset of the yaw rate. `antenna` takes the same
+equations with the antenna's place as what is asked for.
 """
 
 from __future__ import annotations
@@ -64,11 +65,39 @@ def find_delay(drive: Drive, motion: Odometer, *, heading_known: bool) -> Delay 
     Args:
         heading_known: the headings of the motion are of the drive's frame (a reference).
     """
+    rows = find_equations(drive, motion, heading_known=heading_known)
+    if rows is None or rows.stretches < _STRETCHES_MIN:
+        return None
+    return _solve(rows.design[:, :2], rows.target_m, rows.weight)
+
+
+@dataclass(frozen=True, slots=True)
+class Equations:
+    """Rows of all stretches with the stretches' own unknowns taken out.
+
+    Attributes:
+        design: `(n, 3)` columns of the delay (s) and of the antenna's place ahead and left (m).
+        target_m, weight: `(n,)`.
+        stretches: how many there are.
+    """
+
+    design: Floats
+    target_m: Floats
+    weight: Floats
+    stretches: int
+
+
+def find_equations(drive: Drive, motion: Odometer, *, heading_known: bool) -> Equations | None:
+    """What the fixes say of delay and antenna, held against a motion; None where they are too few.
+
+    Args:
+        heading_known: the headings of the motion are of the drive's frame (a reference).
+    """
     gnss = drive.gnss
     if gnss is None or len(gnss) < _FIXES_MIN or len(motion) < _FIXES_MIN:
         return None
     stamps = gnss.stamp_s
-    places, heading, speed, known = _way(motion, stamps)
+    places, heading, speed, known = find_way(motion, stamps)
     fixes = np.stack([gnss.east_m, gnss.north_m], axis=1)
     known &= np.isfinite(fixes).all(axis=1)
     number = np.floor((stamps - stamps[0]) / _STRETCH_S)
@@ -83,13 +112,13 @@ def find_delay(drive: Drive, motion: Odometer, *, heading_known: bool) -> Delay 
         )  # fmt: skip
         if block is not None:
             blocks.append(block)
-    if len(blocks) < _STRETCHES_MIN:
+    if not blocks:
         return None
     design, target, weight = (np.concatenate(part) for part in zip(*blocks, strict=True))
-    return _solve(design, target, weight)
+    return Equations(design, target, weight, len(blocks))
 
 
-def _way(motion: Odometer, stamps: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+def find_way(motion: Odometer, stamps: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
     """Places `(n, 2)` by summing up the motion, headings, speeds, and where they are known."""
     step = np.diff(motion.path_m)
     middle = 0.5 * (motion.heading_rad[1:] + motion.heading_rad[:-1])
@@ -113,19 +142,27 @@ def _stretch(
         turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
         a, heading = rotate(a, turn), heading + turn
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     off = b - a - rotate(np.broadcast_to(antenna_m, a.shape), heading)
     own = [np.tile([1.0, 0.0], (len(a), 1)), np.tile([0.0, 1.0], (len(a), 1))]
     if not heading_known:
-        elapsed = stamps - stamps.mean()
-        steps = np.diff(a, axis=0) * (0.5 * (elapsed[1:] + elapsed[:-1]))[:, None]
-        bent = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-        own += [np.stack([-a[:, 1], a[:, 0]], axis=1), a, np.stack([-bent[:, 1], bent[:, 0]], 1)]
-    shared = np.stack([-speed[:, None] * ahead, ahead], axis=2).reshape(-1, 2)
+        own += way_unknowns(a, stamps)
+    shared = np.stack([-speed[:, None] * ahead, ahead, left], axis=2).reshape(-1, 3)
     basis, _ = np.linalg.qr(np.stack([column.ravel() for column in own], axis=1))
     shared = shared - basis @ (basis.T @ shared)
     target = off.ravel() - basis @ (basis.T @ off.ravel())
     density = min(float(np.median(np.diff(stamps))) / _INDEPENDENT_S, 1.0)
     return shared, target, np.full(len(target), density)
+
+
+def way_unknowns(places_m: Floats, stamps_s: Floats) -> list[Floats]:
+    """By how much places `(n, 2)` of a summed up way move with its heading, the scale of its speed
+    and the offset of its yaw rate: columns `(n, 2)`."""
+    elapsed = stamps_s - stamps_s.mean()
+    steps = np.diff(places_m, axis=0) * (0.5 * (elapsed[1:] + elapsed[:-1]))[:, None]
+    bent = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    turned = [np.stack([-way[:, 1], way[:, 0]], axis=1) for way in (places_m, bent)]
+    return [turned[0], places_m, turned[1]]
 
 
 def _solve(design: Floats, target: Floats, density: Floats) -> Delay:

@@ -34,6 +34,7 @@ _SIZES_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, *map(float, range(2, 21)))
 LAGS_S = (*(-size for size in _SIZES_S), *_SIZES_S)
 _LAG_DOUBT_S, _LAG_WRONG_S = 0.15, 0.6
 _FEW = 12
+_MEET_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +173,29 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     square = np.where(second.there[:, None, :], square, np.inf)
     nearest = np.exp(-0.5 * square.min(axis=2, initial=np.inf))
     return np.where(known, np.where(first.there, nearest, 0.0).sum(axis=1), np.nan)
+
+
+def meetings(pairs: ScanPairs, motion: Odometer) -> tuple[Floats, Floats]:
+    """Poles that one later pole alone can be: by how much they miss it, and what is stated of that.
+
+    Returns:
+        Offsets `(n, 2)` in the later vehicle frame and the sums of both covariances `(n, 2, 2)`.
+    """
+    first, second = pairs.first, pairs.second
+    way, turn, known = motion.spans(first.stamp_s, second.stamp_s)
+    moves = move_along_arc(np.zeros(3), way, turn)[:, None]
+    moved = rotate_back(first.points_m - moves[..., :2], moves[..., 2])
+    spread = rotate_covariance(first.covariance_m2, -turn[:, None])
+    offset = second.points_m[:, None] - moved[:, :, None]
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    distance = np.where(second.there[:, None], distance, np.inf)
+    nearest = distance.argmin(axis=2)
+    ordered = np.sort(distance, axis=2)
+    alone = ordered[..., 1] > 2.0 * ordered[..., 0] if ordered.shape[2] > 1 else True
+    met = first.there & known[:, None] & (ordered[..., 0] < _MEET_M) & alone
+    pair, row = np.nonzero(met)
+    other = nearest[pair, row]
+    return offset[pair, row, other], spread[pair, row] + second.covariance_m2[pair, other]
 
 
 def advantage(other: Floats, told: Floats) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad
+from polemap.drivelog.plausibility.jitter import without_jitter
 from polemap.drivelog.plausibility.odometer import Odometer, common_spans
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.pose import rotate_back, wrap_angle
@@ -46,6 +47,7 @@ class Chords:
 
 def find_chords(reference: ReferenceStream) -> Chords | None:
     """Chords between poses a metre apart; None where the reference hardly moves."""
+    reference = without_jitter(reference)
     points = reference.poses[:, :2]
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     keep = np.unique(np.floor(way / _CHORD_M), return_index=True)[1]

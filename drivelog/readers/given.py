@@ -11,7 +11,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.tables import Table
 
-_LOST_MAX = 0.05
+_LOST_MAX = 0.01
 # left out for when they came, or with a finding of their own
 _APART = ("duplicate_stamps", "stamp_far_from_rest", "fix_at_zero")
 # of latitude and longitude zero from the other fixes, in degrees as in metres
@@ -46,14 +46,15 @@ def row_findings(table: Table) -> list[Finding]:
                 "remove the file if the car has no such sensor",
             )
         ]  # fmt: skip
-    if left_out <= _LOST_MAX * (len(table) + left_out):
+    if not left_out:
         return []
+    few = left_out <= _LOST_MAX * (len(table) + left_out)
     reasons = ", ".join(why.replace("_", " ") for why in lost)
     return [
         Finding(
-            "rows_left_out", "warning" if len(table) else "error", name,
+            "rows_left_out", ("note" if few else "warning") if len(table) else "error", name,
             f"{left_out} of {len(table) + left_out} rows cannot be used ({reasons})",
-            f"at most {100 * _LOST_MAX:.0f} % of them", "write finite numbers in SI units",
+            "none, or leave the row out", "write finite numbers in SI units",
         )
     ]  # fmt: skip
 

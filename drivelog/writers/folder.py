@@ -89,7 +89,8 @@ class FolderWriter:
             {
                 "stamp_s": (stream.stamp_s, "%.6f"),
                 **where,
-                "hdop": (stream.hdop, "%.2f"),
+                # a receiver that states centimetres has a small one
+                "hdop": (stream.hdop, "%.4g"),
                 "arrival_s": (stream.arrival_s, "%.6f"),
             },
         )

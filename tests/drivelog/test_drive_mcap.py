@@ -18,8 +18,8 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.drivelog.readers.bags.described import describe
-from polemap.drivelog.readers.bags.signals import SD_AT_DILUTION_ONE_M
 from polemap.drivelog.readers.registry import open_drive
+from polemap.drivelog.streams import SD_AT_DILUTION_ONE_M
 from polemap.drivelog.writers.ros import messages as ros
 from polemap.drivelog.writers.ros.drive import write_drive_mcap
 from polemap.drivelog.writers.ros.mcap_file import mcap_file, nanoseconds

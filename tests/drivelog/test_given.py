@@ -47,16 +47,18 @@ def test_a_file_with_few_rows_is_checked_like_any(folder: Path, name: str, rows:
     assert [f.stream for f in found] == ([name] if rows == 0 else [])
 
 
-@pytest.mark.parametrize(("share", "severity"), [(0.02, None), (0.5, "warning"), (1.0, "error")])
+@pytest.mark.parametrize(
+    ("share", "severity"), [(0.0, None), (0.005, "note"), (0.03, "warning"), (1.0, "error")]
+)
 @pytest.mark.parametrize("cell", ["nan", "", "1e300"])
 def test_rows_that_cannot_be_used_are_a_finding(
     folder: Path, cell: str, share: float, severity: str | None
 ) -> None:
     path = folder / "odometry.csv"
     head, *rows = path.read_text().splitlines()
-    # long enough that a fiftieth of the rows is one at least
+    # long enough that a two hundredth of the rows is one at least
     last = rows[-1].split(",")
-    rows += [",".join([repr(float(last[0]) + 0.1 * i), *last[1:]]) for i in range(1, 100)]
+    rows += [",".join([repr(float(last[0]) + 0.1 * i), *last[1:]]) for i in range(1, 300)]
     for i in range(int(share * len(rows))):
         cells = rows[i].split(",")
         cells[head.split(",").index("speed_mps")] = cell

@@ -16,6 +16,7 @@ from polemap.drivelog.readers.bags.index import LogIndex, Topic
 from polemap.drivelog.readers.bags.transforms import rotation_from_quaternion
 from polemap.drivelog.readers.bags.vehicle_frame import VehicleFrame
 from polemap.drivelog.streams import (
+    SD_AT_DILUTION_ONE_M,
     GnssStream,
     ReferenceStream,
 )
@@ -24,8 +25,6 @@ from polemap.vehicle.pose import rotate, wrap_angle
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# a receiver's deviation an axis at a dilution of one: the localizer's `gnss.sd_m`
-SD_AT_DILUTION_ONE_M = 2.5
 # metres, metres a second and radians a second of any car stay far below
 _LARGEST = 1e9
 _UNKNOWN_FRAME = (

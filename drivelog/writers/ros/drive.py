@@ -42,8 +42,8 @@ from polemap.drivelog.readers.bags.described import (
     image_topic,
     info_topic,
 )
-from polemap.drivelog.readers.bags.signals import SD_AT_DILUTION_ONE_M
 from polemap.drivelog.samples import GnssFix, OdometrySample, ReferencePose, Sample, StereoFrame
+from polemap.drivelog.streams import SD_AT_DILUTION_ONE_M
 from polemap.drivelog.writers.folder import CAR_FILE, drive_head, laps_text
 from polemap.drivelog.writers.ros import messages as ros
 from polemap.drivelog.writers.ros.mcap_file import McapFile, mcap_file
