@@ -127,7 +127,7 @@ def _step(target: Path | None, words: list[object]) -> None:
         print(f"polemap {line[0]}: {target} is there", flush=True)
         return
     begin = time.monotonic()
-    command = [sys.executable, "-c", "from tools.cli import main; main()", *line]
+    command = [sys.executable, "-c", "from polemap.tools.cli import main; main()", *line]
     code = subprocess.run(command, check=False).returncode
     if code != 0:
         raise SystemExit(code)  # the command has said why
