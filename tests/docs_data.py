@@ -177,7 +177,7 @@ def _signals(_: Garage, place: Path) -> None:
         "signals:\n  stamp_s: {column: 't [s]', unit: s}\n"
         "  vx_mps: {column: 'speed [km/h]', unit: km/h}\n"
         "  yaw_rate_radps: {column: 'yaw_rate [deg/s]', unit: deg/s, turn: counter_clockwise}\n"
-        "  ay_mps2: {column: 'ay [m/s2]', unit: m/s2, turn: counter_clockwise}\n"
+        "  ay_mps2: {column: 'ay [m/s2]', unit: m/s2}\n"
     )
 
 
