@@ -112,7 +112,14 @@ MEANT = (
     ("polemap info MAP", "polemap info MAP.gpkg"),
 )  # fmt: skip
 # the grammar of a command whose whole example stands beside it
-GRAMMAR = ("[,C:D]", "--matcher NAME", "--estimator NAME", "VERB --help", "--write-mapping$")
+GRAMMAR = (
+    "[,C:D]",
+    "--matcher NAME",
+    "--estimator NAME",
+    "VERB --help",
+    "--write-mapping$",
+    "report --align time$",
+)
 
 
 def not_run(command: str) -> bool:
