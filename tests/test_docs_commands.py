@@ -73,6 +73,7 @@ BEFORE = {
         "polemap localize drives/monday --map m.gpkg --out runs/lap_2",
     ],
     "city.md": ["polemap map drives/lap_1 --out districts/north.gpkg"],
+    "place.md": ["polemap map drives/lap_1 --out districts/north.gpkg"],
 }
 
 # what makes a command short: the first pattern that is found in it adds these words
