@@ -6,7 +6,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp)
 
-.PHONY: setup demo test check lint bench city campaign docs site lock clean
+.PHONY: setup demo test check check-docs lint bench city campaign docs site lock clean
 
 setup: .venv/.ready
 
@@ -30,6 +30,10 @@ lint: setup
 	$(BIN)/lint-imports
 
 check: lint test
+
+# what the docs name and CI has no time for
+check-docs: setup
+	$(BIN)/python -m pytest -m docs tests/test_docs_commands.py
 
 bench: setup
 	$(BIN)/python -m benchmarks

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import reduce
+from functools import cache, reduce
 from pathlib import Path
 
 import numpy as np
@@ -21,18 +21,19 @@ from polemap.map.io import read_map, write_map
 from polemap.simulate.camera_mounting import CameraConfig
 from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.drive import simulate_drive
+from polemap.simulate.points.drive import PointDrive, sensed
 from polemap.simulate.scenario import Scenario
 from polemap.tools import cli
 from tests.drivelog.bags.recordings import Ros, ros_messages, write_rosbag2
-from tests.localize.point_drives import street_drive
+from tests.localize.point_drives import street, street_drive
 
-# a lamp every few metres along a bend, ten seconds of it
+# a lamp every few metres along a bend, seven seconds of it
 STREET = {
     "name": "street",
     "route": {
         "closed": False,
         "corner_radius_m": 12.0,
-        "corners_m": [[0, 0], [45, 0], [80, 12]],
+        "corners_m": [[0, 0], [30, 0], [46, 6]],
     },
     "rows": [
         {"kind": "lamp", "side": "right", "spacing_m": 9, "offset_m": 0.5},
@@ -41,7 +42,7 @@ STREET = {
     "drive": {"speed_mps": 7.0, "standstill_s": 0.5},
 }
 CAMERA = CameraConfig(width_px=320, height_px=200, focal_px=342.0, frame_rate_hz=4.0)
-LIGHT = RenderConfig(workers=1, shadows=False)
+SETTINGS = SimulateConfig(camera=CAMERA, render=RenderConfig(workers=1, shadows=False))
 
 
 class Garage:
@@ -72,27 +73,34 @@ class Garage:
 def _pictured(seed: int) -> Callable[[Garage, Path], None]:
     def make(_: Garage, place: Path) -> None:
         street = Scenario.model_validate(STREET)
-        simulate_drive(street, place, 1, seed, SimulateConfig(camera=CAMERA, render=LIGHT))
+        simulate_drive(street, place, 1, seed, SETTINGS, objects=True)
 
     return make
 
 
-def _street(seed: int, *, seconds: float = 30.0) -> Drive:
-    drive = street_drive(seed, duration_s=seconds).drive
+@cache
+def _city() -> PointDrive:
+    return street_drive(1, 32.0)
+
+
+def _street(seed: int, *, seconds: float = 12.0) -> Drive:
+    """The one way through a city of poles, with the sensors' noise of `seed`."""
+    made = _city()
+    drive = sensed(street(), made.motion.until(seconds), made.poles, np.random.default_rng(seed))
     halves = (Lap("map", 0.0, seconds / 2), Lap("test", seconds / 2, seconds))
     return replace(drive, laps=halves)
 
 
-def _scanned(seed: int) -> Callable[[Garage, Path], None]:
-    return lambda _, place: write_drive(_street(seed), place)
+def _scanned(seed: int, *, seconds: float = 12.0) -> Callable[[Garage, Path], None]:
+    return lambda _, place: write_drive(_street(seed, seconds=seconds), place)
 
 
 def _unposed(seed: int) -> Callable[[Garage, Path], None]:
     return lambda _, place: write_drive(replace(_street(seed), reference=None), place)
 
 
-def _map(seed: int) -> Callable[[Garage, Path], None]:
-    return lambda _, place: write_map(street_drive(seed, duration_s=30.0).pole_map, place)
+def _map(_: Garage, place: Path) -> None:
+    write_map(_city().pole_map, place)
 
 
 def _bag(source: str) -> Callable[[Garage, Path], None]:
@@ -195,8 +203,34 @@ def _estimator_log(_: Garage, place: Path) -> None:
     pd.DataFrame(table).to_csv(place, index=False)
 
 
+def _driven_log(garage: Garage, place: Path) -> None:
+    """A drive with pictures and its car's signals beside them."""
+    shutil.copytree(garage.made("monday"), place)
+    odometry = open_drive(place).odometry
+    assert odometry is not None
+    table = {
+        "stamp_s": odometry.stamp_s,
+        "road_wheel_angle_rad": 2.7 * odometry.yaw_rate_radps / np.maximum(odometry.speed_mps, 1.0),
+        "yaw_rate_radps": odometry.yaw_rate_radps,
+        "vx_mps": odometry.speed_mps,
+    }
+    pd.DataFrame(table).to_csv(place / "signals.csv", index=False)
+
+
 def _my_street(_: Garage, place: Path) -> None:
     place.write_text(yaml.safe_dump(STREET))
+
+
+def _block(_: Garage, place: Path) -> None:
+    """A world that stands for any other: once round a block with a few lamps."""
+    corners = [[0, 0], [20, 0], [20, 20], [0, 20]]
+    route = {"closed": True, "corner_radius_m": 6.0, "corners_m": corners}
+    place.write_text(yaml.safe_dump({**STREET, "route": route, "backdrop": False}))
+
+
+def _revs(_: Garage, place: Path) -> None:
+    place.mkdir()
+    shutil.copy(REVS, place)
 
 
 REVS = Path(__file__).resolve().parents[2] / "shared" / "data" / "revs_250lm" / "signals.csv.gz"
@@ -206,8 +240,11 @@ MAKERS: dict[str, Callable[[Garage, Path], object]] = {
     "monday": _pictured(1),
     "friday": _pictured(2),
     "lap_1": _scanned(1),
-    "lap_2": _scanned(1),
+    "lap_2": _scanned(2),
+    "long_1": _scanned(1, seconds=32.0),
+    "long_2": _scanned(2, seconds=32.0),
     "taxi": _unposed(1),
+    "taxi_friday": _unposed(2),
     "bag_monday": _bag("monday"),
     "bag_friday": _bag("friday"),
     "drive_mcap": _mcap("monday"),
@@ -217,9 +254,10 @@ MAKERS: dict[str, Callable[[Garage, Path], object]] = {
     "nmea": _nmea,
     "gpx": _gpx,
     "signals": _signals,
-    "map.gpkg": _map(1),
-    "map.geojson": _map(1),
+    "map.gpkg": _map,
     "estimator_log": _estimator_log,
-    "revs": lambda _, place: shutil.copy(REVS, place),
+    "driven_log": _driven_log,
+    "revs": _revs,
     "my_street": _my_street,
+    "block": _block,
 }

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from polemap.tools.option_types import WorkersOption
 from polemap.tools.recording.record import record_run
 
 
@@ -30,6 +31,7 @@ def command(
     cache: Annotated[
         Path | None, typer.Option("--cache", help="Detections kept by localize --cache.")
     ] = None,
+    workers: WorkersOption = None,
 ) -> None:
     """Show a run: car, paths, poles, pictures and health over time.
 
@@ -47,7 +49,7 @@ def command(
         out = Path(f"{run_folder.resolve().name}.rrd")
         typer.echo(f"no display on this computer: writing {out} instead of opening the viewer")
     inputs = (run_folder, drive, map_file, cache)
-    for line in record_run(run_folder, out, drive, map_file, run, cache, inputs):
+    for line in record_run(run_folder, out, drive, map_file, run, cache, inputs, workers):
         typer.echo(line)
 
 

@@ -25,12 +25,16 @@ from polemap.vehicle.pose import wrap_angle
 SHORT = PointScenario(duration_s=25.0)
 
 
-def street_drive(seed: int, duration_s: float = 20.0) -> PointDrive:
-    """With poles and GNSS enough to find the first position easily; with a reader's notes."""
-    scenario = replace(
+def street(duration_s: float = 20.0) -> PointScenario:
+    """With poles and GNSS enough to find the first position easily."""
+    return replace(
         STREWN_CITY, duration_s=duration_s, poles_per_m2=0.02, gnss=gnss(wander_sd_m=0.7)
     )
-    made = simulate_points(scenario, np.random.default_rng(seed))
+
+
+def street_drive(seed: int, duration_s: float = 20.0) -> PointDrive:
+    """A drive along `street`, with a reader's notes."""
+    made = simulate_points(street(duration_s), np.random.default_rng(seed))
     noted = replace(made.drive, notes=("made of points",), problems={"odometry: bad rows": 2})
     return replace(made, drive=noted)
 

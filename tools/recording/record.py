@@ -29,8 +29,11 @@ def record_run(
     number: int,
     cache: Path | None,
     inputs: tuple[Path | None, ...],
+    workers: int | None = None,
 ) -> list[str]:
     """Write a run as a recording, or open the viewer where `out` is None; what to say of it.
+
+    Poles are looked for by `workers` processes, by default one a core.
 
     Raises:
         ConfigError: an ending that is no recording's.
@@ -49,7 +52,7 @@ def record_run(
         with progress(frames, "poles in the pictures") as advance:
             topics = None if opened.topics is None else str(opened.topics)
             source = Source(str(drive), opened.lap, topics)
-            scene = scene_of(opened, settings, source, cpu_count() or 1, cache, advance)
+            scene = scene_of(opened, settings, source, workers or cpu_count() or 1, cache, advance)
         notes += more
     with progress(scene.picture_count, "writing pictures") as advance:
         return notes + _put(scene, out, advance)

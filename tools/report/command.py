@@ -24,7 +24,7 @@ from polemap.tools.findings import require_plausible
 from polemap.tools.option_types import ForceOption, SeedOption
 from polemap.tools.progress import progress
 from polemap.tools.report.sweep_output import sweep_output
-from polemap.tools.report.sweep_spec import parse_sweep
+from polemap.tools.report.sweep_spec import parse_sweeps
 from polemap.tools.report.sweeps import run_sweeps
 from polemap.tools.report.write import NO_SWEEPS, write_report
 
@@ -95,7 +95,7 @@ def command(
     alignment = parse_alignment(align)
     check_folder(out, KIND, [*runs, *added.values(), cache], CARRIED)
     intervals = [parse_interval(text) for text in exclude or []]
-    swept = [parse_sweep(text) for text in sweep or []]
+    swept = parse_sweeps(sweep or [])
     routes = open_routes([read_run_set(path) for path in runs], added, alignment=alignment)
     check_folder(out, KIND, _made_from(routes), CARRIED)
     _require_plausible(routes, force=force)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +62,19 @@ def parse_sweep(text: str) -> Sweep:
         number = float(value) if isinstance(value, int | float) else None
         values.append(SweepValue(item, number, 1, ((key, value),)))
     return Sweep(name, tuple(values))
+
+
+def parse_sweeps(texts: Sequence[str]) -> list[Sweep]:
+    """Every `--sweep` of a command, see `parse_sweep`.
+
+    Raises:
+        ConfigError: one cannot be read, or two vary the same quantity.
+    """
+    sweeps = [parse_sweep(text) for text in texts]
+    for number, sweep in enumerate(sweeps):
+        if sweep.name in {earlier.name for earlier in sweeps[:number]}:
+            raise ConfigError(f"--sweep {sweep.name} is given twice; name all its values in one")
+    return sweeps
 
 
 def settings_of(config: Mapping[str, Any], changes: tuple[tuple[str, Any], ...]) -> Settings:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from polemap.drivelog.errors import ConfigError
 from polemap.tools import cli
-from polemap.tools.report.sweep_spec import parse_sweep, settings_of
+from polemap.tools.report.sweep_spec import parse_sweep, parse_sweeps, settings_of
 
 Maker = Callable[..., Path]
 
@@ -62,3 +63,8 @@ def test_settings_of_a_run_with_changes() -> None:
 def test_frame_rates() -> None:
     sweep = parse_sweep("frame_rate=full,half,1/5")
     assert [value.every for value in sweep.values] == [1, 2, 5]
+
+
+def test_two_sweeps_of_one_quantity_are_refused() -> None:
+    with pytest.raises(ConfigError, match="--sweep particles is given twice"):
+        parse_sweeps(["particles=50,100", "frame_rate=full,half", "particles=200"])
