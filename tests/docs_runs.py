@@ -141,6 +141,8 @@ def left(command: str) -> Left | None:
 def is_mention(command: str) -> bool:
     """A verb, perhaps with options, that the text speaks of, without anything to run it on."""
     words = command.split()
+    if words[0] != "polemap":
+        return False
     own = [word for word in words[2:] if not word.startswith("-")]
     if own:
         return words[1] == "VERB" or words[-1] in ("NAME", "--write-mapping", "time")

@@ -21,10 +21,14 @@ from benchmarks.harness import modules
 from polemap.tools import cli
 from tests.docs_commands import PAGES, ROOT, commands, words_of
 from tests.docs_data import REVS, Garage
-from tests.docs_runs import BEFORE, EVERYWHERE, LEFT, NEEDS, as_run, left
+from tests.docs_runs import BEFORE, EVERYWHERE, LEFT, NEEDS, as_run, is_mention, left
 
 ALL = list(dict.fromkeys(command for page in PAGES for command in commands(page)))
-LONG = [command for command in ALL if (found := left(command)) is not None and found.long]
+LONG = [
+    command
+    for command in ALL
+    if (found := left(command)) is not None and found.long and not is_mention(command)
+]
 
 
 # what ran: a command of one page is not repeated for another that lays the same things
