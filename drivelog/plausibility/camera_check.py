@@ -25,11 +25,13 @@ from polemap.vehicle.pose import rotation as plane_rotation
 Floats = NDArray[np.float64]
 
 _WAY_M, _STEP_MAX_S = (0.4, 4.0), 0.5
-_POINTS_MIN, _PAIRS_MIN = 20, 2
+_POINTS_MIN, _PAIRS_MIN = 20, 3
 _SPREAD_PX = 0.5
 # KITTI and simulated pairs: lengths within 3 %, directions within 0.7 degrees in the median
 _SCALE_DOUBT, _SCALE_WRONG = 1.12, 1.3
 _ANGLE_DOUBT_RAD, _ANGLE_WRONG_RAD = np.radians(2.5), np.radians(10.0)
+# small pictures of a narrow or empty view scatter: the median is off by so many of its sds
+_SDS = 4.0
 # the lowest tenth of the points within this: the road, give or take its slope; clean pictures have
 # it at -0.1 m or above, pictures that stand on their head at -2 m or below
 _NEAR_M, _NEAR_MIN, _LOW_SHARE = 25.0, 30, 10.0
@@ -108,7 +110,7 @@ def see_motion(drive: Drive, row: int, matches: StereoMatches) -> SeenMotion | N
     if rig is None or motion is None or len(matches.first_px) < _POINTS_MIN:
         return None
     try:
-        next_from_first, points = _fit(rig, matches)
+        next_from_first, points = fit_step(rig, matches)
     except np.linalg.LinAlgError:
         # numbers that no camera has; `absolute` names them
         return None
@@ -131,7 +133,7 @@ def see_motion(drive: Drive, row: int, matches: StereoMatches) -> SeenMotion | N
     )
 
 
-def _fit(rig: StereoRig, seen: StereoMatches) -> tuple[Floats, Floats]:
+def fit_step(rig: StereoRig, seen: StereoMatches) -> tuple[Floats, Floats]:
     """Motion `(4, 4)` of the points `(n, 3)` into the next camera's axes."""
     first, second = (
         np.column_stack([place, place[:, 0] - disparity])
@@ -152,7 +154,9 @@ def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:
         return []
     found = []
     scale = float(np.median([one.scale for one in seen]))
-    if not 1.0 / _SCALE_DOUBT < scale < _SCALE_DOUBT and _confirmed(drive):
+    scales = np.log(np.maximum([one.scale for one in seen], 1e-6))
+    off_scale = not 1.0 / _SCALE_DOUBT < scale < _SCALE_DOUBT
+    if off_scale and _stands_out(scales) and _confirmed(drive):
         severe = not 1.0 / _SCALE_WRONG < scale < _SCALE_WRONG
         found.append(
             Finding(
@@ -170,7 +174,7 @@ def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:
          rig.cx_px, "yaw_rad"),
     ):  # fmt: skip
         off = float(np.median(angles))
-        if abs(off) < _ANGLE_DOUBT_RAD:
+        if abs(off) < _ANGLE_DOUBT_RAD or not _stands_out(np.array(angles)):
             continue
         pixels = abs(rig.focal_px * np.tan(off))
         found.append(
@@ -184,6 +188,12 @@ def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:
             )
         )  # fmt: skip
     return found + _below(np.concatenate([one.points_vehicle_m for one in seen]), rig)
+
+
+def _stands_out(values: Floats) -> bool:
+    """Whether the median of what the pairs tell is off zero by more than their scatter explains."""
+    sd = float(values.std(ddof=1)) / float(np.sqrt(len(values)))
+    return abs(float(np.median(values))) > _SDS * sd
 
 
 def _confirmed(drive: Drive) -> bool:

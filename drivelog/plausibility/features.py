@@ -1,6 +1,8 @@
-"""Features followed from one picture into another."""
+"""Features followed from one picture into another, and from left to right in a pair."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -10,6 +12,9 @@ from polemap.drivelog.samples import Image
 
 Floats = NDArray[np.float64]
 Grey = NDArray[np.uint8]
+
+IN_ROW_PX = 1.0
+_FEATURES = 200
 
 
 def to_8_bit(image: Image) -> Grey:
@@ -40,3 +45,36 @@ def follow_rows(
     error = np.hypot(*(back.reshape(-1, 2) - places).T)
     kept = (ok_there.ravel() > 0) & (ok_back.ravel() > 0) & (error < 0.7)
     return places[kept], np.asarray(steps[kept], dtype=np.float64), np.flatnonzero(kept)
+
+
+@dataclass(frozen=True, slots=True)
+class PairMatch:
+    """Features of one pair: places in the left picture and steps to the right one, `(n, 2)`."""
+
+    places_px: Floats
+    steps_px: Floats
+
+    @property
+    def row_px(self) -> float:
+        """By how many rows the right picture stands lower, in the median."""
+        return float(np.median(self.steps_px[:, 1]))
+
+    @property
+    def in_row(self) -> float:
+        """Share of the features within a pixel of that."""
+        return float(np.mean(np.abs(self.steps_px[:, 1] - self.row_px) < IN_ROW_PX))
+
+    @property
+    def to_the_right(self) -> float:
+        """Share of the features that stand farther right in the right picture."""
+        return float(np.mean(self.steps_px[:, 0] > 0.5))
+
+
+def match_pair(left: Image, right: Image, features: int = _FEATURES) -> PairMatch:
+    """Follow corners of the left picture into the right one, there and back."""
+    a, b = to_8_bit(left), to_8_bit(right)
+    corners = cv2.goodFeaturesToTrack(a, features, 0.01, 10)
+    if corners is None:
+        return PairMatch(np.empty((0, 2)), np.empty((0, 2)))
+    places, steps = follow(a, b, np.asarray(corners, dtype=np.float32))
+    return PairMatch(places, steps)

@@ -1,8 +1,10 @@
-"""When the pictures were taken: how they swing in a bend, against the turns of the odometry."""
+"""When the pictures were taken: how the camera turns in a bend, against the odometry.
+
+Its turn from pair to pair is that of the points in space: along with the car's way, near things
+swing too, by more than a lag of a fifth of a second does.
+"""
 
 from __future__ import annotations
-
-from typing import cast
 
 import cv2
 import numpy as np
@@ -11,19 +13,23 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import PolemapError
 from polemap.drivelog.findings import Finding
-from polemap.drivelog.plausibility.features import follow, to_8_bit
+from polemap.drivelog.plausibility.camera_check import StereoMatches, fit_step, match_next
+from polemap.drivelog.plausibility.features import Grey, match_pair, to_8_bit
 from polemap.drivelog.plausibility.odometer import Odometer, of_odometry, of_reference
 from polemap.drivelog.samples import Image
+from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]
 
 _FRAMES = 30
-_FEATURES = 60
+_FEATURES, _FEATURES_MIN = 120, 20
+# wider pictures are halved: a turn needs no more
+_WIDE_PX = 800
 _LAG_MAX_S, _STEP_S = 1.0, 0.02
-_TURN_SD_RADPS = 0.03
+_TURN_SD_RADPS = 0.02
 _EXPLAINED_MIN = 0.85
 _GAIN_RANGE = (0.7, 1.4)
-_REST_FLOOR = 0.001
+_REST_FLOOR = 0.0002
 _BESIDE, _SHARPER = 10, 2.5
 _LAG_DOUBT_S, _LAG_WRONG_S = 0.12, 0.6
 
@@ -42,11 +48,11 @@ def stamp_findings(drive: Drive) -> list[Finding]:
         return []
     rows = np.arange(first, first + _FRAMES)
     try:
-        swing = _swings(drive, rows)
+        turned = _turned(drive, rig, rows)
     except PolemapError:
         return []
     stamps = drive.frame_stamps_s[rows]
-    seen = swing / rig.focal_px / np.diff(stamps)
+    seen = turned / np.diff(stamps)
     lags = np.arange(-_LAG_MAX_S, _LAG_MAX_S + 1e-9, _STEP_S)
     share = np.array([_explained(seen, _turns(motion, stamps + lag)) for lag in lags])
     if not np.isfinite(share).any():
@@ -103,30 +109,51 @@ def _turns(motion: Odometer, stamps: Floats) -> Floats:
     return np.where(known, turn / np.diff(stamps), np.nan)
 
 
-def _swings(drive: Drive, rows: NDArray[np.int_]) -> Floats:
-    """Columns by which the scene moves to the right from each frame to the next, `(n - 1,)`."""
+def _turned(drive: Drive, rig: StereoRig, rows: NDArray[np.int_]) -> Floats:
+    """By how much the camera turns to the left from each frame to the next, rad, `(n - 1,)`."""
     if drive.images is None:
         return np.full(len(rows) - 1, np.nan)
-    before = None
-    swings = []
+    in_vehicle = rig.vehicle_from_camera.rotation()
+    scale = 0.5 if rig.width_px > _WIDE_PX else 1.0
+    before: tuple[Grey, Grey] | None = None
+    turned = []
     for row in rows:
-        left, _ = drive.images.load(int(row))
-        small = cv2.resize(left, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        grey = to_8_bit(cast(Image, small))
+        left, right = (_small(side, scale) for side in drive.images.load(int(row)))
         if before is not None:
-            # the far scene: the upper part, near the horizon and above, moves by the turn alone
-            top = before[: int(0.55 * before.shape[0])]
-            corners = cv2.goodFeaturesToTrack(top, _FEATURES, 0.01, 6)
-            steps = np.empty((0, 2))
-            if corners is not None:
-                _, steps = follow(before, grey, np.asarray(corners, dtype=np.float32))
-            swings.append(2.0 * float(np.median(steps[:, 0])) if len(steps) > 8 else np.nan)
-        before = grey
-    return np.array(swings)
+            pair = match_pair(*before, _FEATURES)
+            seen = match_next(before[0], pair.places_px, pair.steps_px, left, right)
+            turned.append(_turn_of(rig, seen, scale, in_vehicle))
+        before = left, right
+    return np.array(turned)
+
+
+def _small(image: Image, scale: float) -> Grey:
+    grey = to_8_bit(image)
+    if scale == 1.0:
+        return grey
+    small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8)
+
+
+def _turn_of(rig: StereoRig, seen: StereoMatches, scale: float, in_vehicle: Floats) -> float:
+    if len(seen.first_px) < _FEATURES_MIN:
+        return float("nan")
+    whole = StereoMatches(
+        seen.first_px / scale,
+        seen.first_disparity_px / scale,
+        seen.second_px / scale,
+        seen.second_disparity_px / scale,
+    )
+    try:
+        next_from_first, _ = fit_step(rig, whole)
+    except np.linalg.LinAlgError:
+        return float("nan")
+    turn = in_vehicle @ next_from_first[:3, :3].T @ in_vehicle.T
+    return float(np.arctan2(turn[1, 0], turn[0, 0]))
 
 
 def _explained(seen: Floats, told: Floats) -> float:
-    """Share of the swing that the turns explain, negative where they do so with the other sign.
+    """Share of the turns seen that those told explain, negative if they do with the other sign.
 
     Through the origin and with a gain near one: on a bend that only tightens any lag would do
     otherwise.

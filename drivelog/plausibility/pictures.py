@@ -7,9 +7,6 @@ can be seen to fail.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,43 +20,24 @@ from polemap.drivelog.plausibility.camera_check import (
     moving_rows,
     see_motion,
 )
-from polemap.drivelog.plausibility.features import follow, to_8_bit
+from polemap.drivelog.plausibility.features import (
+    IN_ROW_PX,
+    PairMatch,
+    match_pair,
+    to_8_bit,
+)
 from polemap.drivelog.plausibility.picture_motion import stamp_findings
 from polemap.drivelog.samples import Image
 
 Floats = NDArray[np.float64]
 
 _FRAMES = 4
-_FEATURES = 200
 # KITTI and simulated pairs: rows within 0.6 px, 89 % or more of the features within 1 px of that
 _ROWS_DOUBT_PX, _ROWS_WRONG_PX = 1.1, 1.8
-_IN_ROW_PX, _IN_ROW_SHARE = 1.0, 0.65
+_IN_ROW_SHARE = 0.65
 _LEAST_FEATURES = 25
 _EXPOSURE = 1.8
 _DARK_SD = 4.0
-
-
-@dataclass(frozen=True, slots=True)
-class PairMatch:
-    """Features of one pair: places in the left picture and steps to the right one, `(n, 2)`."""
-
-    places_px: Floats
-    steps_px: Floats
-
-    @property
-    def row_px(self) -> float:
-        """By how many rows the right picture stands lower, in the median."""
-        return float(np.median(self.steps_px[:, 1]))
-
-    @property
-    def in_row(self) -> float:
-        """Share of the features within a pixel of that."""
-        return float(np.mean(np.abs(self.steps_px[:, 1] - self.row_px) < _IN_ROW_PX))
-
-    @property
-    def to_the_right(self) -> float:
-        """Share of the features that stand farther right in the right picture."""
-        return float(np.mean(self.steps_px[:, 0] > 0.5))
 
 
 def check_pictures(drive: Drive) -> list[Finding]:
@@ -126,16 +104,6 @@ def _motions(
         if one is not None:
             seen.append(one)
     return seen
-
-
-def match_pair(left: Image, right: Image, features: int = _FEATURES) -> PairMatch:
-    """Follow corners of the left picture into the right one, there and back."""
-    a, b = to_8_bit(left), to_8_bit(right)
-    corners = cv2.goodFeaturesToTrack(a, features, 0.01, 10)
-    if corners is None:
-        return PairMatch(np.empty((0, 2)), np.empty((0, 2)))
-    places, steps = follow(a, b, np.asarray(corners, dtype=np.float32))
-    return PairMatch(places, steps)
 
 
 def _light(name: str, pairs: list[tuple[Image, Image]]) -> list[Finding]:
@@ -209,7 +177,7 @@ def _scattered(
 ) -> list[Finding]:
     """Rows that do not agree within a picture: not rectified, or two different instants."""
     share = float(np.median([match.in_row for match in scattered]))
-    value = f"{100 * share:.0f} % of the features keep their row (within {_IN_ROW_PX:g} px)"
+    value = f"{100 * share:.0f} % of the features keep their row (within {IN_ROW_PX:g} px)"
     expected = f"{100 * _IN_ROW_SHARE:.0f} % or more"
     slopes = [_slope(match) for match in scattered]
     if np.median([fit for fit, _ in slopes]) > 0.85:
@@ -248,7 +216,7 @@ def _slope(match: PairMatch) -> tuple[float, float]:
         scale = 2.0 * float(np.median(rest)) + 1e-3
         weight = np.asarray(1.0 / np.sqrt(1.0 + (rest / scale) ** 2))
     size = float(np.abs(fit[1:]) @ np.ptp(places, axis=0))
-    return float(np.mean(rest < _IN_ROW_PX)), size
+    return float(np.mean(rest < IN_ROW_PX)), size
 
 
 def _other_instant(drive: Drive, row: int, now: PairMatch) -> str | None:

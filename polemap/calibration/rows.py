@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from polemap.calibration.estimate import Fit, fit, spread
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.plausibility.pictures import PairMatch, match_pair
+from polemap.drivelog.plausibility.features import PairMatch, match_pair
 from polemap.stereo.rig import StereoRig
 
 Floats = NDArray[np.float64]

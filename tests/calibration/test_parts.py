@@ -24,7 +24,7 @@ from polemap.calibration.rows import agreement
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.drivelog.plausibility.pictures import PairMatch
+from polemap.drivelog.plausibility.features import PairMatch
 from polemap.drivelog.streams import OdometryStream, ReferenceStream
 from polemap.stereo.rig import Mounting, rotation_from_angles
 from tests.calibration.street import SIZE, TRUE, motion, rig

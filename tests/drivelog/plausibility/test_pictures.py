@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive, OdometryStream
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.plausibility.camera_check import SeenMotion, camera_findings
 from polemap.drivelog.plausibility.check import check_drive
 from polemap.drivelog.plausibility.pictures import check_pictures
 from polemap.drivelog.source_names import FOLDER
@@ -190,6 +191,31 @@ def test_the_way_of_the_pictures_is_measured_against_the_odometry_alone_where_it
     still = replace(clean, odometry=replace(clean.odometry, speed_mps=np.zeros(n)))
     for drive in (still, replace(clean, odometry=None)):
         assert [f for f in check_pictures(drive) if f.stream == "camera"] == []
+
+
+@pytest.mark.parametrize(
+    ("told", "kinds"),
+    [
+        # small pictures of an empty street: pairs that contradict one another accuse nobody
+        ([(0.78, -10.7, -62.8), (0.95, 0.2, -1.6), (1.02, 0.3, -1.1)], set()),
+        ([(0.98, -1.1, -1.1), (0.87, -0.3, -1.8), (0.78, 0.3, 4.0), (0.86, 0.1, -4.0)], set()),
+        ([(0.5, 12.0, 30.0)] * 2, set()),
+        ([(0.84, 3.1, 0.2), (0.86, 2.9, -0.1), (0.85, 3.3, 0.1)], {"camera_scale", "camera_pitch"}),
+    ],
+)
+def test_pairs_that_scatter_accuse_no_camera(
+    clean: Drive, told: list[tuple[float, float, float]], kinds: set[str]
+) -> None:
+    nowhere = np.empty((0, 3))
+    seen = [SeenMotion(s, np.radians(up), np.radians(left), nowhere) for s, up, left in told]
+    assert {finding.kind for finding in camera_findings(clean, seen)} == kinds
+
+
+def test_the_lag_of_the_pictures_is_told_to_a_few_hundredths(clean: Drive) -> None:
+    """By the turn of the camera: what stands near swings with the way as well."""
+    late = replace(clean, frame_stamps_s=clean.frame_stamps_s + 0.2)
+    found = [f for f in check_pictures(late) if f.kind == "clock_offset"]
+    assert "0.20 s" in found[0].value
 
 
 def test_a_drive_without_pictures_has_none_to_blame(clean: Drive) -> None:
