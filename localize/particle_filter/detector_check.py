@@ -37,13 +37,14 @@ _MATCH_M = 2.0
 # 0.3 degrees on Victoria Park
 _UNEXPLAINED = np.array([0.0052, 0.01, 0.02])
 _SETTLED_SD, _SETTLED_M = 1.0, 20.0
-# a change at one place is asked for more, since there are many places; what is less sure widens the
-# pose, from the first of these excesses on and at the second in full
-_CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
+# a change at one place is asked for more, since there are many places; what is less sure by up to so
+# many standard deviations widens the pose, in full where it is hardly less
+_CHANGE_SD, _HINT_SD = 3.5, 1.5
+_FIT_HINT_SD = 2.5
 # a hint that is gone is forgotten by this factor at every fit
 _HINT_KEPT = 0.7
-# how far the poles are that hold a pose: a turn moves it aside by as much of this
-_REACH_M = 15.0
+# sd of the errors that are met, for what is likely of one that is found
+_MET_SD = np.array([2.0, 2.0, 1.0]) * TOLERANCE
 # after a contradiction the calibration is acquitted when all looks since then say four times in a
 # row that it lies within these by two standard deviations, or when nothing has spoken against it
 # on so long a way (where the car goes straight on at one speed, stamps show nowhere)
@@ -83,7 +84,7 @@ class DetectorCheck:
         self._unproven_since_m: float | None = None
         self._proven = np.zeros(len(KINDS), dtype=np.int64)
         self._hint = np.zeros(len(KINDS))
-        self._speed_mps = 0.0
+        self._speed_mps, self._reach_m = 0.0, 0.0
         self.fit: StretchFit | None = None
 
     @property
@@ -95,7 +96,7 @@ class DetectorCheck:
     def hinted_sd(self) -> tuple[float, float]:
         """What the pose may be off by, m and rad, for an error that is likely but not proven."""
         turn, scale, seconds = np.abs(self._hint)
-        sd_m = np.hypot(_REACH_M * np.hypot(turn, scale), seconds * self._speed_mps)
+        sd_m = np.hypot(self._reach_m * np.hypot(turn, scale), seconds * self._speed_mps)
         return float(sd_m), float(turn)
 
     @property
@@ -169,6 +170,9 @@ class DetectorCheck:
             return False
         self._fitted_m = travelled_m
         self._speed_mps = abs(rates[0])
+        # the poles that hold the pose are so far away: a turn moves it aside by as much of it
+        near = [look.points_vehicle_m for look in looks[-_LEAST_LOOKS:]]
+        self._reach_m = float(np.sqrt(np.mean(np.sum(np.concatenate(near) ** 2, axis=1))))
         return self._judge(pose, travelled_m)
 
     def _judge(self, pose: Floats, travelled_m: float) -> bool:
@@ -198,7 +202,7 @@ class DetectorCheck:
             if excess.max() - limit_sd > worst:
                 worst, kind = float(excess.max()) - limit_sd, int(excess.argmax())
                 found = float(fit.values[kind])
-            self._note_hint(fit.values, excess)
+            self._note_hint(fit.values, sd, excess - _FIT_HINT_SD)
             proven = np.abs(fit.values) + _ACQUITTED_SD * sd <= self._bounds
             sound = bool(excess.max() < _SETTLED_SD) and (
                 self._kind < 0
@@ -220,12 +224,12 @@ class DetectorCheck:
         excess = (abs(change.value) - TOLERANCE[change.kind]) / sd
         values = np.zeros(len(KINDS))
         values[change.kind] = change.value
-        self._note_hint(values, excess)
+        self._note_hint(values, sd, excess - _FIT_HINT_SD)
         return bool(excess > _CHANGE_SD)
 
-    def _note_hint(self, values: Floats, excess: Floats) -> None:
-        low, high = _HINT_SD
-        hint = np.clip((excess - low) / (high - low), 0.0, 1.0) * np.abs(values)
+    def _note_hint(self, values: Floats, sd: Floats, beyond_sd: Floats) -> None:
+        likely = _MET_SD**2 / (_MET_SD**2 + sd**2) * np.abs(values)
+        hint = np.clip(1.0 + beyond_sd / _HINT_SD, 0.0, 1.0) * likely
         self._hint = np.maximum(self._hint, hint)
 
     def _accuse(self, kind: int, found: float) -> bool:

@@ -241,7 +241,11 @@ class Stretch:
         back = np.where(before[:, None], _left_of(self._path[:, :2] - self._path[look, :2]), 0.0)
         lost = self._bent(before.astype(np.float64), back)
         design = np.concatenate([self._design, lost[:, :, None], step[:, :, None]], axis=2)
-        near = np.abs(self._ways - self._ways[look]) <= _NEAR_M
+        # where no pole was seen for a while nobody knows where in it the heading was lost
+        last = self._k[self._k < look].max()
+        near = (self._ways >= self._ways[last] - _NEAR_M) & (
+            self._ways <= self._ways[look] + _NEAR_M
+        )
         bend = float(np.ptp(self._path[near, 2]))
         lost_sd = np.hypot(_JUMP_RAD, _JUMP_SHARE * bend)
         sd = 10.0 * _CALIBRATION_SD[kind]
