@@ -94,7 +94,7 @@ class Assessment:
             held=self._recovery.held(scan.stamp_s),
         )
         narrow = len(modes) == 1 and major <= PROVEN_SD_M
-        unmatched, held = self._judge_place(done, fit, pose, narrow=narrow)
+        unmatched, held = self._judge_place(done, fit, pose, major, narrow=narrow)
         self._check_detector(done, pose, history, narrow=narrow, held=held)
         hint_m, hint_rad = self._detector.check.hinted_sd
         self.learned_spread = spread
@@ -110,7 +110,7 @@ class Assessment:
         settled = self._recovery.proof.proven and len(modes) == 1
         usable = settled and major <= limit_m and self._recovery.lost.fits and not unmatched
         healthy = usable and not self._odometry.doubted and opinion != "contradicted"
-        healthy &= self._detector.believed
+        healthy &= self._detector.believed and not self._recovery.far_from_fixes
         healthy &= bool(np.hypot(major, hint_m) <= limit_m)
         health = HealthRecord(
             stamp_s=scan.stamp_s,
@@ -156,7 +156,7 @@ class Assessment:
         return pose, spread, modes, major, minor
 
     def _judge_place(
-        self, done: Weighed, fit: Match, pose: Floats, *, narrow: bool
+        self, done: Weighed, fit: Match, pose: Floats, major: float, *, narrow: bool
     ) -> tuple[bool, bool]:
         """Whether poles contradict the place, and whether poles have held the pose lately."""
         scan, step, recovery = done.scan, done.step, self._recovery
@@ -172,7 +172,7 @@ class Assessment:
         strange = recovery.strange
         if done.event is None:
             before = strange.contradict
-            recovery.add_held(scan.stamp_s, fit.matched, independent)
+            recovery.add_held(scan.stamp_s, fit.matched, independent, major)
             strange.add_scan(
                 fit.matched, len(scan), fit.misfit, independent, mapped=fit.in_view > 0
             )

@@ -62,6 +62,11 @@ class LostDetector:
         return self.scattered or self._bad_s >= limit_s or self.astray
 
     @property
+    def far(self) -> bool:
+        """Whether the newest fix lies far away, and no poles have held the pose against it."""
+        return bool(self._far_fixes_s)
+
+    @property
     def astray(self) -> bool:
         """Whether GNSS has long said that the car is somewhere else."""
         fixes = self._far_fixes_s

@@ -33,6 +33,8 @@ _EXPLORE_SHARE_MAX = 0.2
 _DOUBT_INTERVALS = 4.0
 # independent poles that must have fitted, the last of them not longer ago
 _HELD_POLES, _HELD_S = 12.0, 3.0
+# a pose this wide is held by no pole: those of the next street fit as well
+_LOOSE_SD_M = 3.0
 # poles that come after so long without any must hold the pose anew before they accuse the detector
 _ANEW_S = 10.0
 # poles that match nothing send half of the particles around, once a second, as far as odometry may
@@ -164,9 +166,14 @@ class Recovery:
         self.explored_share = len(rear) / len(particles)
         particles.replace_some(rear, log_weights)
 
-    def add_held(self, stamp_s: float, matched: int, share: float) -> None:
-        """Take in the poles of a scan that fit, and the share of it that is independent."""
-        if not self.proof.proven or self.strange.contradict:
+    def add_held(self, stamp_s: float, matched: int, share: float, major_sd_m: float) -> None:
+        """Take in the poles of a scan that fit, and the share of it that is independent.
+
+        Args:
+            major_sd_m: of the position; where it is so wide no pole holds the pose any more.
+        """
+        loose = major_sd_m > _LOOSE_SD_M
+        if loose or not self.proof.proven or self.strange.contradict:
             self._held_by = self._held_anew_by = 0.0
         elif matched:
             if stamp_s - self._matched_s > _ANEW_S:
@@ -174,6 +181,11 @@ class Recovery:
             self._held_anew_by += matched * share
             self._held_by += matched * share
             self._matched_s = stamp_s
+
+    @property
+    def far_from_fixes(self) -> bool:
+        """Whether a fix lies far from a place that is new: not enough poles have held it yet."""
+        return self.lost.far and self._held_by < _HELD_POLES
 
     def held(self, stamp_s: float) -> bool:
         """Whether so many poles have held the pose, the last one lately, that fixes far away are
