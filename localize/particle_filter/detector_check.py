@@ -37,10 +37,9 @@ _MATCH_M = 2.0
 # 0.3 degrees on Victoria Park
 _UNEXPLAINED = np.array([0.0052, 0.01, 0.02])
 _SETTLED_SD, _SETTLED_M = 1.0, 20.0
-# a change at one place is asked for more, since there are many places; what is less sure by up to so
-# many standard deviations widens the pose, in full where it is hardly less
-_CHANGE_SD, _HINT_SD = 3.5, 1.5
-_FIT_HINT_SD = 2.5
+# a change at one place is asked for more, since there are many places; what is less sure widens the
+# pose, from the first of these excesses on and at the second in full
+_CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
 # a hint that is gone is forgotten by this factor at every fit
 _HINT_KEPT = 0.7
 # sd of the errors that are met, for what is likely of one that is found
@@ -202,7 +201,7 @@ class DetectorCheck:
             if excess.max() - limit_sd > worst:
                 worst, kind = float(excess.max()) - limit_sd, int(excess.argmax())
                 found = float(fit.values[kind])
-            self._note_hint(fit.values, sd, excess - _FIT_HINT_SD)
+            self._note_hint(fit.values, sd, excess)
             proven = np.abs(fit.values) + _ACQUITTED_SD * sd <= self._bounds
             sound = bool(excess.max() < _SETTLED_SD) and (
                 self._kind < 0
@@ -224,12 +223,13 @@ class DetectorCheck:
         excess = (abs(change.value) - TOLERANCE[change.kind]) / sd
         values = np.zeros(len(KINDS))
         values[change.kind] = change.value
-        self._note_hint(values, sd, excess - _FIT_HINT_SD)
+        self._note_hint(values, sd, excess)
         return bool(excess > _CHANGE_SD)
 
-    def _note_hint(self, values: Floats, sd: Floats, beyond_sd: Floats) -> None:
+    def _note_hint(self, values: Floats, sd: Floats, excess: Floats) -> None:
+        low, high = _HINT_SD
         likely = _MET_SD**2 / (_MET_SD**2 + sd**2) * np.abs(values)
-        hint = np.clip(1.0 + beyond_sd / _HINT_SD, 0.0, 1.0) * likely
+        hint = np.clip((excess - low) / (high - low), 0.0, 1.0) * likely
         self._hint = np.maximum(self._hint, hint)
 
     def _accuse(self, kind: int, found: float) -> bool:
