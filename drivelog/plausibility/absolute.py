@@ -29,7 +29,8 @@ def vehicle_findings(drive: Drive) -> list[Finding]:
         unit = named_unit(drive.wheelbase_m / _WHEELBASE_TYPICAL_M, LENGTH_UNITS, 0.6)
         found.append(
             Finding(
-                "wheelbase", "error", drive.names.head, f"wheelbase_m is {drive.wheelbase_m:g}",
+                "wheelbase", "error", drive.names.head,
+                f"{drive.names.calibration.wheelbase} is {drive.wheelbase_m:g}",
                 f"{low:g} to {high:g} m",
                 f"write it in metres{f' (it looks like {unit})' if unit else ''}",
             )
@@ -102,7 +103,7 @@ def camera_findings(drive: Drive) -> list[Finding]:
     rig = drive.rig
     if rig is None:
         return []
-    found = []
+    found, names = [], drive.names.calibration
 
     def wrong(kind: str, value: str, expected: str, remedy: str, severe: bool = True) -> None:
         severity = "error" if severe else "warning"
@@ -112,16 +113,16 @@ def camera_findings(drive: Drive) -> list[Finding]:
     if not low <= rig.baseline_m <= high:
         unit = named_unit(rig.baseline_m / 0.4, LENGTH_UNITS, 1.0)
         hint = f" (it looks like {unit})" if unit else ""
-        wrong("baseline", f"baseline_m is {rig.baseline_m:g}", f"{low:g} to {high:g} m",
+        wrong("baseline", f"{names.baseline} is {rig.baseline_m:g}", f"{low:g} to {high:g} m",
               f"write it in metres{hint}")  # fmt: skip
     view = degrees(2.0 * atan(rig.width_px / 2.0 / rig.focal_px))
     if not _VIEW_DEG[0] <= view <= _VIEW_DEG[1]:
-        wrong("focal_length", f"focal_px {rig.focal_px:g} on {rig.width_px} px sees {view:.0f} "
-              "degrees", f"{_VIEW_DEG[0]:.0f} to {_VIEW_DEG[1]:.0f} degrees",
+        wrong("focal_length", f"{names.focal} {rig.focal_px:g} on {rig.width_px} px sees "
+              f"{view:.0f} degrees", f"{_VIEW_DEG[0]:.0f} to {_VIEW_DEG[1]:.0f} degrees",
               "write the focal length of the rectified pictures in pixels, not in mm")  # fmt: skip
     for name, centre, size in (
-        ("cx_px", rig.cx_px, rig.width_px),
-        ("cy_px", rig.cy_px, rig.height_px),
+        (names.centre_x, rig.cx_px, rig.width_px),
+        (names.centre_y, rig.cy_px, rig.height_px),
     ):
         if not 0.2 * size < centre < 0.8 * size:
             wrong("principal_point", f"{name} is {centre:g} in pictures of {size} px",

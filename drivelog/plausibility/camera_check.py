@@ -17,6 +17,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.features import Grey, follow_rows
 from polemap.drivelog.plausibility.odometer import Odometer, of_odometry, of_reference
+from polemap.drivelog.source_names import CalibrationNames
 from polemap.stereo.odometry.motion import fit_motion, triangulate
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import rotate
@@ -152,7 +153,7 @@ def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:
     rig, motion = drive.rig, _motion(drive)
     if rig is None or motion is None or len(seen) < _PAIRS_MIN:
         return []
-    found = []
+    found, names = [], drive.names.calibration
     scale = float(np.median([one.scale for one in seen]))
     scales = np.log(np.maximum([one.scale for one in seen], 1e-6))
     off_scale = not 1.0 / _SCALE_DOUBT < scale < _SCALE_DOUBT
@@ -163,15 +164,15 @@ def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:
                 "camera_scale", "error" if severe else "warning", "camera",
                 f"the pictures show {scale:.2f} times the way of {motion.name} ({len(seen)} pairs)",
                 f"1 within {100 * (_SCALE_DOUBT - 1):.0f} %",
-                f"check focal_px ({rig.focal_px:g}) and baseline_m ({rig.baseline_m:g}): they are "
-                "of the rectified pictures, at their size",
+                f"check {names.focal} ({rig.focal_px:g}) and {names.baseline} "
+                f"({rig.baseline_m:g}): they are of the rectified pictures, at their size",
             )
         )  # fmt: skip
     for kind, angles, sense, name, size, angle in (
-        ("camera_pitch", [one.up_rad for one in seen], ("rises", "sinks"), "cy_px", rig.cy_px,
-         "pitch_rad"),
-        ("camera_yaw", [one.left_rad for one in seen], ("drifts left", "drifts right"), "cx_px",
-         rig.cx_px, "yaw_rad"),
+        ("camera_pitch", [one.up_rad for one in seen], ("rises", "sinks"), names.centre_y,
+         rig.cy_px, names.pitch),
+        ("camera_yaw", [one.left_rad for one in seen], ("drifts left", "drifts right"),
+         names.centre_x, rig.cx_px, names.yaw),
     ):  # fmt: skip
         off = float(np.median(angles))
         if abs(off) < _ANGLE_DOUBT_RAD or not _stands_out(np.array(angles)):
@@ -184,10 +185,11 @@ def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:
                 f"{abs(np.degrees(off)):.1f} degrees",
                 f"within {np.degrees(_ANGLE_DOUBT_RAD):.1f} degrees",
                 f"check {name} ({size:g}), which may be off by {pixels:.0f} px, or {angle} by "
-                f"{abs(off):.3f}",
+                f"{abs(off):.3f} rad",
             )
         )  # fmt: skip
-    return found + _below(np.concatenate([one.points_vehicle_m for one in seen]), rig)
+    points = np.concatenate([one.points_vehicle_m for one in seen])
+    return found + _below(points, rig, names)
 
 
 def _stands_out(values: Floats) -> bool:
@@ -213,7 +215,7 @@ def _confirmed(drive: Drive) -> bool:
     return 1.0 / _STREAMS_AGREE < ratio < _STREAMS_AGREE
 
 
-def _below(points: Floats, rig: StereoRig) -> list[Finding]:
+def _below(points: Floats, rig: StereoRig, names: CalibrationNames) -> list[Finding]:
     """Points that stand below the road."""
     near = points[np.hypot(points[:, 0], points[:, 1]) < _NEAR_M]
     if len(near) < _NEAR_MIN:
@@ -229,6 +231,6 @@ def _below(points: Floats, rig: StereoRig) -> list[Finding]:
             "camera", f"{_LOW_SHARE:.0f} % of what stands within {_NEAR_M:.0f} m lies {-low:.1f} m "
             "or more below the road", f"nothing lower than {_BELOW_DOUBT_M:g} m",
             "turn the pictures by 180 degrees and exchange left and right" if over
-            else f"check z_m ({height:g}), pitch_rad and cy_px",
+            else f"check {names.height} ({height:g} m), {names.pitch} and {names.centre_y}",
         )
     ]  # fmt: skip

@@ -107,7 +107,7 @@ class FolderReader:
             notes=tuple(notes),
             problems=dict(problems),
             findings=tuple(findings),
-            names=FOLDER,
+            names=camera.names() if camera else FOLDER,
         )
 
 

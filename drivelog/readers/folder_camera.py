@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from polemap.drivelog.drive import FrameSource
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.images import LARGEST_BYTES, ImagePairs, RectifiedPairs
 from polemap.drivelog.readers.drive_yaml_parts import CameraPart, MountingPart, RawCameraPart
+from polemap.drivelog.source_names import FOLDER, SourceNames
 from polemap.parsing.errors import named
 from polemap.parsing.pictures import check_size
 from polemap.parsing.text import read_bytes
@@ -49,6 +50,20 @@ class FolderCamera:
             f"the pictures ({width}x{height} px) are rectified as they are read, with "
             f"{self.calibration}{black}"
         )
+
+    def names(self) -> SourceNames:
+        """The streams of the folder, with the camera's numbers where they are stated."""
+        if self.rectifier is None:
+            return FOLDER
+        file = self.calibration
+        told = replace(
+            FOLDER.calibration,
+            focal=f"the focal length of {file}",
+            centre_x=f"the principal point's column of {file}",
+            centre_y=f"the principal point's row of {file}",
+            baseline=f"the baseline of {file}",
+        )
+        return replace(FOLDER, calibration=told)
 
     def pairs(self, paths: tuple[tuple[Path, Path], ...]) -> FrameSource:
         """The rectified pictures of these files.

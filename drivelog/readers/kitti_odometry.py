@@ -31,7 +31,7 @@ from polemap.drivelog.readers.kitti import (
 )
 from polemap.drivelog.readers.kitti_clock import gap_note
 from polemap.drivelog.readers.kitti_pictures import NumberedPairs, find_pairs, lines_of
-from polemap.drivelog.source_names import SourceNames
+from polemap.drivelog.source_names import CalibrationNames, SourceNames
 from polemap.drivelog.streams import ReferenceStream
 from polemap.stereo.rig import Mounting
 
@@ -97,12 +97,28 @@ class KittiOdometryReader:
                 gnss="fixes derived from the poses",
                 reference=f"poses/{path.name}.txt",
                 head="calib.txt",
+                calibration=_calibration_names(*found.cameras),
             ),
         )
         if not len(camera_poses):
             return drive
         poses = _rear_axle_poses(camera_poses, camera_from_lidar, vehicle_from_camera)
         return _with_sensors(drive, times[known], poses, seed)
+
+
+def _calibration_names(left: str, right: str) -> CalibrationNames:
+    """The entries of calib.txt, and what is not written down but known of the car."""
+    car = "of KITTI's car, which is known to this reader"
+    return CalibrationNames(
+        wheelbase=f"the wheelbase {car}",
+        focal=f"P{left}[0,0] of calib.txt",
+        centre_x=f"P{left}[0,2] of calib.txt",
+        centre_y=f"P{left}[1,2] of calib.txt",
+        baseline=f"(P{left}[0,3] - P{right}[0,3]) / P{left}[0,0] of calib.txt",
+        height=f"the camera's height {car}",
+        pitch="the pitch that the poses show",
+        yaw="the yaw that the poses show",
+    )
 
 
 def _with_sensors(drive: Drive, stamps: Floats, poses: Floats, seed: int) -> Drive:

@@ -11,6 +11,7 @@ meridian convergence.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ from polemap.drivelog.readers.kitti import (
 )
 from polemap.drivelog.readers.kitti_clock import gap_note, read_timestamps
 from polemap.drivelog.readers.kitti_pictures import NumberedPairs, find_pairs
-from polemap.drivelog.source_names import SourceNames
+from polemap.drivelog.source_names import CalibrationNames, SourceNames
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
 from polemap.stereo.errors import StereoError
 from polemap.stereo.io import read_kitti_calibration
@@ -97,8 +98,27 @@ class KittiRawReader:
             reference=reference,
             notes=tuple(notes),
             problems=dict(problems),
-            names=_NAMES,
+            names=replace(_NAMES, calibration=_calibration_names(path)),
         )
+
+
+def _calibration_names(path: Path) -> CalibrationNames:
+    """The entries of the day's files; the mounting is that of the camera against the OXTS unit."""
+    left, right = next(
+        (pair for pair in _PAIRS if (path / f"image_{pair[0]}" / "data").is_dir()), _PAIRS[0]
+    )
+    chain = "by calib_velo_to_cam.txt and calib_imu_to_velo.txt"
+    car = "of KITTI's car, which is known to this reader"
+    return CalibrationNames(
+        wheelbase=f"the wheelbase {car}",
+        focal=f"P_rect_{left}[0,0] of {_CAMERAS}",
+        centre_x=f"P_rect_{left}[0,2] of {_CAMERAS}",
+        centre_y=f"P_rect_{left}[1,2] of {_CAMERAS}",
+        baseline=f"(P_rect_{left}[0,3] - P_rect_{right}[0,3]) / P_rect_{left}[0,0] of {_CAMERAS}",
+        height=f"the camera's height {car}",
+        pitch=f"the pitch {chain}",
+        yaw=f"the yaw {chain}",
+    )
 
 
 def _lever_arms(day: Path) -> tuple[Floats, Floats]:

@@ -137,7 +137,12 @@ def with_description(read: Drive, described: Drive) -> Drive:
         notes=(*described.notes, *read.notes),
         problems={**described.problems, **read.problems},
         findings=(*described.findings, *read.findings),
-        names=replace(read.names, laps="laps.csv (attached)", head=f"{HEAD} (attached)"),
+        names=replace(
+            read.names,
+            laps="laps.csv (attached)",
+            head=f"{HEAD} (attached)",
+            calibration=described.names.calibration,
+        ),
     )
 
 
