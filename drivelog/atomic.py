@@ -30,7 +30,12 @@ from polemap.drivelog.results.marker import (
     read_marker,
     write_marker,
 )
-from polemap.drivelog.results.targets import check_not_an_input, real_target
+from polemap.drivelog.results.targets import (
+    check_no_part,
+    check_not_an_input,
+    check_own_kind,
+    real_target,
+)
 from polemap.drivelog.results.workspace import (
     ENDING,
     fresh_folder,
@@ -56,14 +61,23 @@ _DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 Inputs = Iterable[Path | str | None]
 
 
-def check_file(path: Path, inputs: Inputs = ()) -> None:
-    """Refuse, before work begins, what `atomic_file` would refuse at its end.
+def check_file(path: Path, inputs: Inputs = (), endings: Iterable[str] = ()) -> None:
+    """Refuse, before work begins, a place that a result must not have.
+
+    Args:
+        path: where it is to stand.
+        inputs: what it is made from.
+        endings: of such results; a file of another one that is there already is kept.
 
     Raises:
-        OutputError: the place is no file, or is on or below an input.
+        OutputError: the place is no file, is on or below an input, holds a file of another kind,
+            or one that belongs to a drive or to a finished result.
     """
-    real_target(Path(path), folder=False)
-    check_not_an_input(Path(path), inputs)
+    path = Path(path)
+    real_target(path, folder=False)
+    check_not_an_input(path, inputs)
+    check_own_kind(path, endings)
+    check_no_part(path)
 
 
 def check_files(paths: Sequence[Path | None], inputs: Inputs = ()) -> None:

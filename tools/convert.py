@@ -16,6 +16,7 @@ import typer
 
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.readers.registry import reader_of
+from polemap.drivelog.results.targets import check_own_kind
 from polemap.tools.option_types import ForceOption, SeedOption, TopicsOption
 
 Source = Literal["drive", "run", "log"]
@@ -166,6 +167,7 @@ def command(
         mapping=mapping, wheelbase_m=wheelbase_m, day=day, force=force,
     )  # fmt: skip
     target = form or FORM_OF_ENDING.get(out.suffix.lower(), "folder")
+    check_own_kind(out, [ending for ending, made in FORM_OF_ENDING.items() if made == target])
     lines = _conversion(inputs[0], source, target)(request)
     typer.echo("\n".join(lines))
 

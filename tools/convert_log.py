@@ -76,7 +76,7 @@ def to_folder(request: Request) -> list[str]:
 
 def to_csv(request: Request) -> list[str]:
     """A signal log where the mapping has one, else the fixes as gnss.csv."""
-    check_file(request.out, _inputs(request))
+    check_file(request.out, _inputs(request), (".csv",))
     made = _converted(request, request.out.stem)
     key = SIGNALS if SIGNALS in made.streams else "gnss"
     if key not in made.streams:

@@ -111,7 +111,8 @@ def command(
         return
     if log is None or vehicle is None or out is None:
         raise ConfigError("estimate needs a LOG, --vehicle and --out; --list names the cars")
-    check_file(out, (log, vehicle, mapping, config_file, *(also or [])))
+    kinds = (".yaml", ".yml") if identify_span is not None else (".csv",)
+    check_file(out, (log, vehicle, mapping, config_file, *(also or [])), kinds)
     car = load_car(vehicle)
     signals, scored_from_s = _read(log, mapping, car)
     if span is not None:
@@ -144,7 +145,7 @@ def command(
         car = replace(car, gps_point_m=car.sideslip_point_m)
     shown = out.with_suffix(".html") if page and page_possible() else None
     if shown is not None:
-        check_file(shown, (log, vehicle, mapping, config_file, out))
+        check_file(shown, (log, vehicle, mapping, config_file, out), (".html",))
     record = None if shown is None else Record()
     in_time = played = run_estimator(estimator, heard, car, config, log, record)
     if clock is not None:

@@ -94,7 +94,7 @@ def _describe_log(path: Path, topics: Path | None, write_to: Path | None) -> Non
             )
         return
     if write_to is not None:
-        check_file(write_to, (path, topics))
+        check_file(write_to, (path, topics), (".yaml", ".yml"))
     index, made = survey(path, topics)
     typer.echo("\n".join(describe_topics(index, made)))
     if write_to is not None:

@@ -11,7 +11,7 @@ import pandas as pd
 import typer
 from numpy.typing import NDArray
 
-from polemap.drivelog.atomic import atomic_file, atomic_folder, check_files, check_folder
+from polemap.drivelog.atomic import atomic_file, atomic_folder, check_file, check_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.readers.registry import open_drive
@@ -78,7 +78,7 @@ def command(
     With a signal log beside it the pictures' rows go into that, and polemap estimate takes the
     result.
     """
-    check_files([out], (drive, signals, topics))
+    check_file(out, (drive, signals, topics), (".csv",))
     if pictures is not None:
         check_folder(pictures, PICTURES, (drive, signals))
     car = load_car(vehicle)

@@ -12,6 +12,7 @@ from polemap.drivelog.atomic import atomic_file, check_files
 from polemap.drivelog.camera_motion import CameraTrack, PlanarMotion, track_camera
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.registry import open_drive
+from polemap.drivelog.results.targets import check_own_kind
 from polemap.drivelog.tum import spatial_tum_text
 from polemap.settings import load_settings
 from polemap.tools.findings import require_plausible
@@ -52,6 +53,9 @@ def command(
     odometry.csv.
     """
     check_files([out, table], (drive, config, topics))
+    check_own_kind(out, (".tum",))
+    if table is not None:
+        check_own_kind(table, (".csv",))
     load_settings(config, set_values)
     opened = open_drive(drive, topics=topics)
     opened = opened.lap(lap) if lap is not None else opened

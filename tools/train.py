@@ -61,7 +61,7 @@ def command(
     settings = load_settings(config, set_values)
     pairs, lacking = _pairs(drives), dict(_pairs(unmapped or []))
     inputs = [place for pair in [*pairs, *lacking.items()] for place in pair]
-    check_file(out, [*inputs, config, topics])
+    check_file(out, [*inputs, config, topics], (".json",))
     training = TrainingConfig(every=every)
     gathered = [
         _collect(drive, pole_map, lacking.get(drive), settings, training, parts, topics)

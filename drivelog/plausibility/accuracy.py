@@ -27,7 +27,7 @@ _MOVES_M = 5.0
 _MEDIAN_OF_SD = 1.1774
 # clean drives: errors of fixes to 1.8 times what is stated, scatter 0.5 times; poses 0.2 times
 _TIMES = 3.0
-_FIXES_LEAST_M, _POSES_LEAST_M = 0.3, 0.1
+_FIXES_LEAST_M, _FIXES_MOST_M, _POSES_LEAST_M = 0.3, 50.0, 0.1
 # squares of distances of poles met again, over what their variances say: 0.2 to 6.8 on clean drives
 _POLES_MIN = 40
 _POLES_SMALL, _POLES_LARGE = 16.0, 0.02
@@ -53,7 +53,8 @@ def fix_findings(drive: Drive, motion: Odometer, *, is_reference: bool) -> list[
         whole = float(np.median(size)) / _MEDIAN_OF_SD if len(size) >= _POINTS_MIN else 0.0
         if not seen >= whole:
             seen, what = whole, "are off by"
-    if not seen > max(_TIMES * stated, _FIXES_LEAST_M):
+    # farther off they are in another place, which `places` names
+    if not max(_TIMES * stated, _FIXES_LEAST_M) < seen < _FIXES_MOST_M:
         return []
     return [
         Finding(

@@ -8,8 +8,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from polemap.drivelog.errors import OutputError
+from polemap.drivelog.results.marker import read_marker
 
 Identity = tuple[int, int]
+
+# pictures of a drive lie a folder or two below it
+_DEPTH = 4
 
 _KINDS = (
     (stat.S_ISCHR, "a device"),
@@ -45,6 +49,48 @@ def real_target(path: Path, *, folder: bool) -> Path:
     if not folder and stat.S_ISDIR(state.st_mode):
         raise OutputError(f"{path}: is a folder, a file is to be written there")
     return Path(os.path.realpath(path))
+
+
+def check_own_kind(path: Path, endings: Iterable[str]) -> None:
+    """Refuse a file that is there and is of another kind than the result, by its ending.
+
+    Raises:
+        OutputError: a GeoPackage where a TUM file is to be written, say.
+    """
+    endings = tuple(endings)
+    if endings and path.suffix.lower() not in endings and _holds_something(path):
+        raise OutputError(
+            f"{path}: is there already and is no {' or '.join(endings)} file, which is to be "
+            "written; name another, or delete it"
+        )
+
+
+def check_no_part(path: Path) -> None:
+    """Refuse a file that belongs to a drive or to a finished result.
+
+    Raises:
+        OutputError: the folder of the file, or one above it, lists it as its own.
+    """
+    if not _holds_something(path):
+        return
+    real = Path(os.path.realpath(path))
+    for folder in list(real.parents)[:_DEPTH]:
+        listing = read_marker(folder)
+        what = listing.kind or "result"
+        own = real.relative_to(folder).as_posix() in listing.files
+        if not own and (folder / "drive.yaml").is_file():
+            what, own = "drive", True
+        if own:
+            raise OutputError(
+                f"{path}: is a file of the {what} {folder}; choose another place, or delete it"
+            )
+
+
+def _holds_something(path: Path) -> bool:
+    try:
+        return path.is_file() and path.stat().st_size > 0
+    except (OSError, ValueError):
+        return False
 
 
 def _check_above(path: Path) -> None:

@@ -86,6 +86,16 @@ LOCALIZE = ["localize", "in/drive", "--map", "in/map.gpkg", *FEW]
         ["calibrate", "in/drive", "--pictures", "in"],
         ["odometry", "in/drive", "--out", "in/drive/a.tum"],
         ["odometry", "in/drive", "--out", "a.tum", "--csv", "in/drive/odometry.csv"],
+        ["odometry", "in/drive", "--out", "in/map.gpkg"],
+        ["odometry", "in/drive", "--out", "a.tum", "--csv", "in/map.gpkg"],
+        ["odometry", "in/other", "--out", "in/run/kf.tum"],
+        ["odometry", "in/other", "--out", "mine.txt"],
+        ["convert", "in/run", "--out", "in/drive/odometry.csv"],
+        ["convert", "in/drive", "--out", "in/run/kf.tum"],
+        ["convert", "in/drive", "--to", "tum", "--out", "in/map.gpkg"],
+        ["estimate", "in/log.csv", "--vehicle", "coms", "--out", "in/map.gpkg"],
+        ["estimate", "in/log.csv", "--vehicle", "coms", "--identify", "0:1", "--out", "mine.txt"],
+        ["lanes", "in/drive", "--out", "in/settings.yaml"],
         ["where", "in/drive", "--map", "in/map.gpkg", "--picture", "in/drive/where.png"],
         ["convert", "in/drive", "--to", "kitti", "--out", "in/drive"],
         ["convert", "in/drive", "--to", "mcap", "--out", "in/drive/a.mcap"],
@@ -106,6 +116,7 @@ def test_a_result_never_replaces_an_input_or_the_users_own(
     (place / "out" / "mine.tum").write_text("0 0 0 0 0 0 0 1\n")
     (place / "a.png").write_text("a picture")
     (place / "b.png").write_text("a picture")
+    (place / "mine.txt").write_text("a thesis")
     (place / "pipe.png").symlink_to("/dev/null")
     before = contents(place)
     assert cli.run(words) == cli.USER_ERROR
@@ -118,6 +129,7 @@ def test_a_result_never_replaces_an_input_or_the_users_own(
         "is a file, a folder is",
         "give another name",
         "choose another name",
+        "name another, or delete it",
     )
     assert any(remedy in error for remedy in remedies)
     assert contents(place) == before

@@ -52,6 +52,11 @@ def test_fixes_that_state_centimetres_and_scatter_by_metres(clean: Drive, alone:
     assert check_drive(honest) == []
 
 
+def test_fixes_in_another_place_are_no_matter_of_accuracy(clean: Drive) -> None:
+    moved = with_gnss(clean, east_m=clean.gnss.east_m + 3000.0)
+    assert [f.kind for f in check_drive(moved)] == ["gnss_reference"]
+
+
 def test_fixes_of_centimetres_that_say_so(clean: Drive) -> None:
     poses = clean.reference.at(clean.gnss.stamp_s, max_gap_s=1.0)
     exact = with_gnss(clean, east_m=poses[:, 0], north_m=poses[:, 1])
