@@ -1,0 +1,1 @@
+"""Which sensor is at fault, and how an estimator goes on without it."""
