@@ -93,6 +93,11 @@ class EstimatorConfig(BaseModel):
         description="A value whose residual is beyond so many predicted deviations is left out; "
         "0 takes every value, as the papers' filters are printed.",
     )
+    isolate_faults: bool = Field(
+        True,
+        description="Whether `estimate` tells which sensor is faulty by votes of all of them and "
+        "goes on without it; a yes or no.",
+    )
     gyro_sd_radps: float = Field(
         0.003, gt=0.0, le=1.0, description="Standard deviation of the yaw rate, rad/s."
     )

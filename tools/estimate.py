@@ -15,32 +15,30 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from polemap.drivelog.atomic import atomic_file, check_file
-from polemap.drivelog.errors import ConfigError, InputError
+from polemap.drivelog.errors import ConfigError
 from polemap.electric.clock_rate import StretchedClock, stretched_clock
 from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
 from polemap.electric.config import EstimatorConfig
-from polemap.electric.estimators.base import GPS, Estimator
-from polemap.electric.estimators.registry import known_estimators, make_estimator
-from polemap.electric.gaps import find_gaps, play_parts, settled
+from polemap.electric.estimators.base import GPS
+from polemap.electric.estimators.registry import known_estimators
+from polemap.electric.gaps import find_gaps, settled
 from polemap.electric.io import gps_from_truth, read_signal_log
 from polemap.electric.lanes import camera_settings
 from polemap.electric.plausibility import check_log
 from polemap.electric.signals import Played, SignalLog
-from polemap.electric.watched import Record, Watched
+from polemap.electric.watched import Record
 from polemap.set_option import parse_set_option
 from polemap.settings import first_problem, read_tree
+from polemap.tools.estimator_run import run_estimator, tell_faults
 from polemap.tools.findings import require_plausible
 from polemap.tools.identification import identify_car
 from polemap.tools.lanes import drive_signals
 from polemap.tools.option_types import ForceOption, PageOption, page_possible
-from polemap.tools.progress import progress
 from polemap.vehicle.io import car_names, load_car
 from polemap.vehicle.motion import sideslip_at
 from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
-INNOVATIONS = 4000
-"""Of the gyro so many are looked at for the page."""
 SETTLED_S = 2.0
 """Scoring starts this long after the first row and after a gap: no filter knows its start."""
 
@@ -92,8 +90,9 @@ def command(
     """Run a side-slip or velocity estimator on a signal log.
 
     Late values come when their arrival column says. Columns that are not known are ignored with
-    a note. With a side-slip reference in the log one JSON line of errors goes to stdout; they
-    count from two seconds after the first row. A page of pictures (NAME.html) goes beside --out.
+    a note. With a side-slip reference in the log, or where a sensor was found faulty, one JSON
+    line goes to stdout: errors, which count from two seconds after the first row, and faults. A
+    page of pictures (NAME.html) goes beside --out.
 
     Examples:
         polemap estimate --list
@@ -147,11 +146,15 @@ def command(
     if shown is not None:
         check_file(shown, (log, vehicle, mapping, config_file, out), (".html",))
     record = None if shown is None else Record()
-    in_time = played = run_estimator(estimator, heard, car, config, log, record)
+    played, faults = run_estimator(estimator, heard, car, config, log, record)
+    in_time = played
     if clock is not None:
         played = clock.at_rows(played, signals)
     write_estimates(played, out)
     scores = score(estimator, played, signals, car, scored_from_s)
+    told = tell_faults(faults, clock, float(signals.stamp_s[0]))
+    if told:
+        scores = {"estimator": estimator, **scores, "faults": told}
     if scores:
         sys.stdout.write(json.dumps(scores) + "\n")
     if shown is not None and record is not None:
@@ -209,43 +212,6 @@ def _read(log: Path, mapping: Path | None, car: Car) -> tuple[SignalLog, float]:
     if ignored:
         sys.stderr.write(f"note: ignored columns {', '.join(ignored)}\n")
     return signals, float("-inf")
-
-
-def run_estimator(
-    name: str,
-    signals: SignalLog,
-    car: Car,
-    config: EstimatorConfig,
-    place: Path,
-    record: Record | None = None,
-) -> Played:
-    """Play a log to an estimator, with a progress bar; `record` takes what it heard.
-
-    Raises:
-        InputError: the log lacks a sensor that the estimator lives on.
-    """
-    entry, kinds = known_estimators()[name], signals.kinds()
-    missing = [kind for kind in entry.needs if kind not in kinds]
-    if missing or (entry.late and not kinds.intersection(entry.late)):
-        lacking = missing[0] if missing else " or ".join(entry.late)
-        raise InputError(f"{place}: {name} needs {lacking} and the log has no such signal")
-    every = max(1, len(signals) // INNOVATIONS)
-
-    def make() -> Estimator:
-        made = make_estimator(name, car, config)
-        return made if record is None else Watched(made, config, record, every)
-
-    with progress(len(signals), f"{name}") as advance:
-        played, dropped = play_parts(
-            make,
-            signals,
-            steering_offset_rad=car.steering_offset_rad,
-            steering_scale=car.steering_scale,
-            progress=advance,
-        )
-    for reason, count in dropped.items():
-        sys.stderr.write(f"note: {count} times: {reason}\n")
-    return played
 
 
 def load_estimator_config(

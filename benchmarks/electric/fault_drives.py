@@ -46,7 +46,7 @@ def driven(car: Car, style: str, seconds: float, seed: int) -> Driven:
     rng = np.random.default_rng([seed, 20])
     slow, fast, hard, bend_s = STYLES[style]
     n = round(seconds / STEP_S)
-    t = STEP_S * np.arange(n)
+    t: Floats = np.asarray(STEP_S * np.arange(n), dtype=np.float64)
     speed = 0.5 * (slow + fast) + 0.5 * (fast - slow) * _waves(rng, t, 25.0)
     ax = np.gradient(speed, t)
     actual = _actual(car, rng)
@@ -198,14 +198,10 @@ def faulty(
     columns = dict(log.columns)
     for name in CHANNELS[sensor]:
         values = columns[name].copy()
-        rows = np.flatnonzero(
-            np.isfinite(values) & (log.stamp_s >= from_s) & (log.stamp_s < to_s)
-        )
+        rows = np.flatnonzero(np.isfinite(values) & (log.stamp_s >= from_s) & (log.stamp_s < to_s))
         if kind == "delay":
             known = np.isfinite(values)
-            values[rows] = np.interp(
-                log.stamp_s[rows] - DELAY_S, log.stamp_s[known], values[known]
-            )
+            values[rows] = np.interp(log.stamp_s[rows] - DELAY_S, log.stamp_s[known], values[known])
         else:
             values[rows] = _FAULTS[kind](name, log.stamp_s[rows] - from_s, values[rows], rng)
         columns[name] = values

@@ -43,7 +43,7 @@ class StiffnessKalman:
 
     The model is affine in kappa: x' = (A0 + kappa A1) x + (B0 + kappa B1) u. It is stepped by
     the series of the exponential to third order. Heading is in the lane with a camera and on
-    the map with GPS; use one of the two.
+    the map with GPS, which is left out where there is a camera.
     """
 
     fields = (
@@ -70,7 +70,7 @@ class StiffnessKalman:
         self._camera_noise = np.diag([config.heading_sd_rad**2, config.lateral_offset_sd_m**2])
         self._speed = float("nan")
         self._matrices = (np.zeros((4, 4)),) * 2 + (np.zeros((4, 2)),) * 2
-        self._started_heading = False
+        self._started_heading = self._in_lane = False
         self.dropped: dict[str, int] = {}
         self.gate = Gate(config, self.dropped)
 
@@ -133,7 +133,14 @@ class StiffnessKalman:
             return
         before = f.x[:5].copy()
         jacobian = np.zeros((2 if kind == CAMERA else 1, f.size))
+        if kind == GPS and self._in_lane:
+            # one state cannot be the heading in the lane and over ground
+            reason = "gps course beside a camera, left out"
+            self.dropped[reason] = self.dropped.get(reason, 0) + 1
+            f.release(stamp_s)
+            return
         if kind == CAMERA:
+            self._in_lane = True
             jacobian[0, rows.start] = jacobian[1, rows.start + 1] = 1.0
             self._correct(CAMERA, jacobian, value - jacobian @ f.x, self._camera_noise)
         elif value[1] >= 2.0:  # a standing car has no course

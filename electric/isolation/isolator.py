@@ -72,13 +72,15 @@ class Isolator:
             CAMERA: LateSensor(config.heading_sd_rad, _LANE_CHANGE_RAD, in_lane=True),
         }
         self._rows: list[Inputs] = []
+        self._raw: list[Inputs] = []
         self._stamps: list[float] = []
         self._carried = 0
         self.next_s = stamp_s + TICK_S
         self.withheld = self._suspicions.withheld
 
-    def hear(self, stamp_s: float, inputs: Inputs) -> None:
-        """Inputs of the step that ends at the stamp."""
+    def hear(self, stamp_s: float, raw: Inputs, inputs: Inputs) -> None:
+        """Inputs of the step that ends at the stamp, as they came and without single jumps."""
+        self._raw.append(raw)
         self._rows.append(inputs)
         self._stamps.append(stamp_s)
 
@@ -93,8 +95,9 @@ class Isolator:
         self._follow_speed(rows[-1].speed_mps, now_s)
         self._carry()
         self.motion.tick()
-        table, stamps = np.array(rows), np.array(self._stamps)
+        table, stamps = np.array(self._raw), np.array(self._stamps)
         rows.clear()
+        self._raw.clear()
         self._stamps.clear()
         self._carried = 0
         # inputs have no notice of their own: a sensor that ever said other than 0 is there
@@ -241,7 +244,7 @@ class Isolator:
         guilty, t = WHEEL_SPEED, end.stamp_s - start.stamp_s
         turned = end.gyro - start.gyro
         if {LATERAL, GYRO} <= self.heard - self.faulty and abs(turned) > _TURNING_RADPS * t:
-            # ay over the gyro's rate is a third speed, and the lateral turn is the integral of ay / v
+            # ay over the yaw rate is a third speed; the lateral turn is the integral of ay / v
             third = (end.lateral - start.lateral) / turned * (end.distance - start.distance) / t
             if abs(third - last.moment.wheel) < abs(third - last.other):
                 guilty = GPS

@@ -1,4 +1,4 @@
-"""From what speaks against sensors to which are held for faulty, and when they are believed again."""
+"""What speaks against sensors, which of them are held for faulty, and until when."""
 
 from __future__ import annotations
 

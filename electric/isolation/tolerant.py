@@ -95,18 +95,7 @@ class FaultTolerant:
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         """Predict, on inputs that are believed."""
         self._stamp_s = stamp_s
-        isolator = self._isolator
-        if isolator is None:
-            isolator = Isolator(self._car, self._config, self._faults, stamp_s, inputs.speed_mps)
-            self._isolator, self._faulty = isolator, isolator.faulty
-        else:
-            isolator.hear(stamp_s, inputs)
-            if stamp_s >= isolator.next_s:
-                for name in isolator.tick():
-                    self._returned_s[name] = stamp_s
-                    if name == families.GPS:
-                        self._course_off_rad, self._course_since_s = float("nan"), stamp_s
-        last = self._last
+        isolator, heard, last = self._isolator, inputs, self._last
         if last is not None and not (
             -_STEERING < inputs[0] - last[0] < _STEERING
             and -_SPEED < inputs[1] - last[1] < _SPEED
@@ -116,6 +105,16 @@ class FaultTolerant:
         ):
             inputs = self._without_jumps(inputs, last)
         self._last = inputs
+        if isolator is None:
+            isolator = Isolator(self._car, self._config, self._faults, stamp_s, inputs.speed_mps)
+            self._isolator, self._faulty = isolator, isolator.faulty
+        else:
+            isolator.hear(stamp_s, heard, inputs)
+            if stamp_s >= isolator.next_s:
+                for name in isolator.tick():
+                    self._returned_s[name] = stamp_s
+                    if name == families.GPS:
+                        self._course_off_rad, self._course_since_s = float("nan"), stamp_s
         if self._faulty or self._returned_s:
             inputs = self._mended(isolator, inputs)
         self._inner.step(stamp_s, inputs)

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.electric import fault_drives
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.studies.scenes import Scene, drive_with_camera
 from polemap.tools.cli import run
@@ -199,3 +200,24 @@ def test_several_spans_and_a_further_log_are_fitted_together(
     alone = ["estimate", str(tmp_path / "a.csv"), "--vehicle", "passat", "--estimator", "bicycle"]
     assert run([*alone, "--also", "b.csv", "--out", str(tmp_path / "o.csv")]) == 2
     assert "--also goes with --identify" in capsys.readouterr().err
+
+
+def test_a_faulty_sensor_is_told_in_json_on_the_terminal_and_on_the_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clean = fault_drives.driven(load_car("passat"), "country", 22.0, seed=12).log
+    log = fault_drives.faulty(clean, "steering", "step", 12.0, 17.0, np.random.default_rng(0))
+    path, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    pd.DataFrame({"stamp_s": log.stamp_s, **log.columns}).to_csv(path, index=False)
+    words = ["estimate", str(path), "--estimator", "bicycle", "--vehicle", "passat"]
+    words += ["--out", str(out), "--force"]
+    assert run(words) == 0
+    shown = capsys.readouterr()
+    (fault,) = json.loads(shown.out.strip().splitlines()[-1])["faults"]
+    assert fault["sensor"] == "steering"
+    assert 12.0 <= fault["found_s"] <= 14.0
+    assert 17.0 < fault["to_s"] < 22.0
+    assert "fault: steering: turns by" in shown.err
+    assert "otherwise than" in out.with_suffix(".html").read_text(encoding="utf-8")
+    assert run([*words, "--no-page", "--set", "isolate_faults=false"]) == 0
+    assert "faults" not in json.loads(capsys.readouterr().out.strip().splitlines()[-1])
