@@ -43,8 +43,20 @@ def street(rng: np.random.Generator) -> Floats:
     return np.vstack([left, right])
 
 
+class Widest(DetectorCheck):
+    """Remembers the largest hint of a drive."""
+
+    widest_m = 0.0
+
+    def _judge(self, pose: Floats, travelled_m: float) -> bool:
+        found = super()._judge(pose, travelled_m)
+        self.widest_m = max(self.widest_m, self.hinted_sd[0])
+        return found
+
+
 def drive(
     seed: int,
+    check: DetectorCheck | None = None,
     *,
     turn_rad: float = 0.0,
     scale: float = 1.0,
@@ -53,24 +65,33 @@ def drive(
     until_m: float = np.inf,
     suspected_m: float = np.inf,
     rate_offset_radps: float = 0.0,
+    swerve_lost: float = 0.0,
 ) -> tuple[DetectorCheck, list[str]]:
     """A drive of 220 m at 7 to 10 m/s, its errors on a part of the way; what was found at each
-    scan, "open" where nothing was, but the calibration is not acquitted either."""
+    scan, "open" where nothing was, but the calibration is not acquitted either.
+
+    Args:
+        swerve_lost: share of the turn that the odometry loses while the car swerves to the left
+            from 10 s to 12 s; it comes back in two more seconds, and sees no pole in all four.
+    """
     rng = np.random.default_rng(seed)
     poles = street(rng)
     landmarks = mapped(poles + rng.normal(0.0, 0.05, poles.shape))
-    check = DetectorCheck(PolesConfig())
+    check = check or DetectorCheck(PolesConfig())
     found = []
 
     def rates(seconds: float) -> tuple[float, float]:
-        return 8.5 + 1.5 * np.sin(seconds), 0.05 * np.cos(0.5 * seconds)
+        swerve = 0.3 * ((10.0 <= seconds < 12.0) - 1.0 * (12.0 <= seconds < 14.0))
+        turn = 0.05 * np.cos(0.5 * seconds) + (swerve if swerve_lost else 0.0)
+        return 8.5 + 1.5 * np.sin(seconds), turn
 
     truth = np.zeros(3)
     dead = np.zeros(3)
     travelled, dt = 0.0, 0.1
     for k in range(260):
         speed, turn = rates(dt * k)
-        for pose, rate in ((truth, turn), (dead, turn + rate_offset_radps)):
+        lost = swerve_lost * turn if 10.0 <= dt * k < 12.0 else 0.0
+        for pose, rate in ((truth, turn), (dead, turn + rate_offset_radps - lost)):
             middle = pose[2] + 0.5 * rate * dt
             pose += dt * np.array([speed * np.cos(middle), speed * np.sin(middle), rate])
         travelled += speed * dt
@@ -84,6 +105,8 @@ def drive(
         seen = seen + rng.normal(0.0, SD_M, seen.shape)
         if wrong:
             seen = scale * seen @ rotation(turn_rad).T
+        if swerve_lost and 10.0 <= dt * k < 14.0:
+            seen = seen[:0]
         if travelled >= suspected_m:
             check.suspect()
             suspected_m = np.inf
@@ -200,3 +223,11 @@ def test_a_pose_that_drifts_where_no_pole_is_seen_accuses_nobody() -> None:
         check.add_scan(empty, landmarks, pose, np.array([way, 0.0, 0.0]), way, (10.0, 0.0))
     assert not check.contradicts
     assert found[-1] == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_heading_that_is_lost_where_no_pole_is_seen_is_no_turn_of_the_detector(seed: int) -> None:
+    check = Widest(PolesConfig())
+    _, found = drive(seed, check, swerve_lost=0.05)
+    assert set(found[15:]) == {""}
+    assert check.widest_m < 0.17
