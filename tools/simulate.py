@@ -11,12 +11,7 @@ import typer
 from polemap.drivelog.atomic import check_folder, scratch_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError
-from polemap.drivelog.readers.registry import open_drive
-from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
-from polemap.map.io import read_map
-from polemap.settings import load_settings
-from polemap.simulate.drive import count_frames, simulate_drive
-from polemap.simulate.kitti_raw_layout import write_kitti_raw
+from polemap.settings import Settings, load_settings
 from polemap.simulate.scenario import scenario_names
 from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
 from polemap.tools.progress import progress
@@ -75,7 +70,38 @@ def command(
         )
     if scans and layout != "folder":
         raise ConfigError(f"simulate: --format {layout} has no place for --scans; use folder")
-    images = images and not scans
+    _simulate(
+        scenario,
+        out,
+        laps,
+        seed,
+        settings,
+        layout,
+        objects=objects,
+        images=images and not scans,
+        scans=scans,
+    )
+
+
+def _simulate(
+    scenario: str,
+    out: Path,
+    laps: int,
+    seed: int,
+    settings: Settings,
+    layout: str,
+    *,
+    objects: bool,
+    images: bool,
+    scans: bool,
+) -> None:
+    # not at the top, where --help would wait for them
+    from polemap.drivelog.readers.registry import open_drive
+    from polemap.drivelog.writers.kitti_odometry import write_kitti_odometry
+    from polemap.map.io import read_map
+    from polemap.simulate.drive import count_frames, simulate_drive
+    from polemap.simulate.kitti_raw_layout import write_kitti_raw
+
     frames = count_frames(scenario, laps, seed, settings.simulate) if images else 0
     with progress(frames, f"simulating {scenario}") as advance:
         if layout == "folder":

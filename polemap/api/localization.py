@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from polemap.api.plausible import check
-from polemap.api.poles import Perception
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError
@@ -17,7 +15,6 @@ from polemap.localize.config import for_car
 from polemap.localize.pose_queue import PoseUpdate
 from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
-from polemap.perception import scan_drive
 from polemap.settings import Settings
 
 
@@ -50,6 +47,12 @@ class Localizer(live.Localizer):
         on_update: Callable[[PoseUpdate], None] | None = None,
     ) -> None:
         chosen = settings or Settings()
+        perception = None
+        if car.rig is not None:
+            # a car that is told its poles starts without the half second of these imports
+            from polemap.api.poles import Perception
+
+            perception = Perception(car, chosen)
         if pole_map is not None and pole_map.frame != car.frame:
             raise FrameError(
                 f"the map is in {pole_map.frame}, the car's drive {car.name} in {car.frame}: "
@@ -61,7 +64,7 @@ class Localizer(live.Localizer):
             car.wheelbase_m,
             np.random.default_rng(seed),
             gnss_antenna_m=car.gnss_antenna_m,
-            perception=Perception(car, chosen) if car.rig is not None else None,
+            perception=perception,
             on_update=on_update,
         )
 
@@ -95,6 +98,10 @@ def replay(
         InputError: the drive lacks what localizing needs, an image cannot be read, or drive and
             map contradict themselves or each other.
     """
+    # not at the top, where a localizer in a car would wait for them
+    from polemap.api.plausible import check
+    from polemap.perception import scan_drive
+
     chosen = settings or Settings()
     has_poles = drive.has_frames or bool(drive.scans)
     replays.check_inputs(drive, pole_map, has_poles=has_poles)
