@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from polemap.drivelog.atomic import atomic_file, check_file
-from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.errors import ConfigError, InputError
+from polemap.drivelog.logs.nmea import read_nmea
 from polemap.electric.clock_rate import StretchedClock, stretched_clock
 from polemap.electric.comma2k19.io import is_comma2k19, read_comma2k19
 from polemap.electric.config import EstimatorConfig
@@ -25,6 +26,7 @@ from polemap.electric.gaps import find_gaps, settled
 from polemap.electric.io import gps_from_truth, read_signal_log
 from polemap.electric.lanes import camera_settings
 from polemap.electric.plausibility import check_log
+from polemap.electric.receiver import join_receiver
 from polemap.electric.signals import Played, SignalLog
 from polemap.electric.watched import Record
 from polemap.set_option import parse_set_option
@@ -70,6 +72,10 @@ def command(
         list[Path] | None,
         typer.Option("--also", help="With --identify: a further log of the same car, used whole."),
     ] = None,
+    gps: Annotated[
+        Path | None,
+        typer.Option("--gps", help="NMEA 0183 log of a receiver: its fixes join the LOG."),
+    ] = None,
     derive_gps: Annotated[
         bool,
         typer.Option(
@@ -111,9 +117,11 @@ def command(
     if log is None or vehicle is None or out is None:
         raise ConfigError("estimate needs a LOG, --vehicle and --out; --list names the cars")
     kinds = (".yaml", ".yml") if identify_span is not None else (".csv",)
-    check_file(out, (log, vehicle, mapping, config_file, *(also or [])), kinds)
+    check_file(out, (log, vehicle, mapping, config_file, gps, *(also or [])), kinds)
     car = load_car(vehicle)
     signals, scored_from_s = _read(log, mapping, car)
+    if gps is not None:
+        signals = _with_receiver(signals, gps)
     if span is not None:
         signals = _cut(signals, span, "--span")
     require_plausible(log.name, check_log(signals, car), force=force)
@@ -195,6 +203,20 @@ def _with_gps(signals: SignalLog, config: EstimatorConfig, seed: int) -> SignalL
     return made
 
 
+def _with_receiver(signals: SignalLog, path: Path) -> SignalLog:
+    fixes = read_nmea(path)
+    try:
+        joined = join_receiver(signals, fixes.columns)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    sys.stderr.write(
+        f"note: {path.name}: {fixes.says}; {joined.fixes} fixes join the log, "
+        f"{joined.offset_s:.2f} s added to their stamps, {joined.from_positions} courses from "
+        f"positions, {joined.left_out} left out for their HDOP\n"
+    )
+    return joined.log
+
+
 def _read(log: Path, mapping: Path | None, car: Car) -> tuple[SignalLog, float]:
     """The log, and the stamp up to which its reference was used and is not to be scored."""
     if is_comma2k19(log):
@@ -270,6 +292,9 @@ def score(
             else:
                 result["sideslip_rmse_deg"] = round(float(np.sqrt(np.mean(error**2))), 5)
                 result["sideslip_p95_deg"] = round(float(np.percentile(np.abs(error), 95)), 5)
+                stated = np.degrees(played.sd_of("sideslip_rad")[scored])
+                if (stated > 0.0).all():
+                    result["sideslip_nees"] = round(float(np.mean((error / stated) ** 2)), 4)
     for field, reference in (("vx_mps", "vx_reference_mps"), ("vy_mps", "vy_mps")):
         if not signals.has(reference) or field not in played.fields:
             continue

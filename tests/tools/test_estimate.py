@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -221,3 +223,35 @@ def test_a_faulty_sensor_is_told_in_json_on_the_terminal_and_on_the_page(
     assert "otherwise than" in out.with_suffix(".html").read_text(encoding="utf-8")
     assert run([*words, "--no-page", "--set", "isolate_faults=false"]) == 0
     assert "faults" not in json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+
+
+def test_fixes_of_an_nmea_log_join_a_signal_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The receiver counts UTC, the log from 0; its rows carry course and speed then."""
+    log = fault_drives.driven(load_car("passat"), "country", 40.0, seed=3).log
+    names = ("road_wheel_angle_rad", "yaw_rate_radps", "ax_mps2", "ay_mps2", "vx_mps")
+    path, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    columns = {name: log.columns[name] for name in names}
+    pd.DataFrame({"stamp_s": log.stamp_s, **columns}).to_csv(path, index=False)
+    rows = np.flatnonzero(np.isfinite(log.columns["course_rad"]))
+    lines = []
+    for row in rows.tolist():
+        knots = log.columns["speed_mps"][row] / 0.514444
+        course = (90.0 - np.degrees(log.columns["course_rad"][row])) % 360.0
+        body = (
+            f"GPRMC,1200{log.stamp_s[row]:05.2f},A,4900.0000,N,00800.0000,E,"
+            f"{knots:.3f},{course:.3f},010626,,"
+        )
+        lines.append(f"${body}*{reduce(xor, body.encode()):02X}")
+    (tmp_path / "gps.nmea").write_text("\n".join(lines) + "\n")
+    words = ["estimate", str(path), "--estimator", "two_layer", "--vehicle", "passat"]
+    words += ["--out", str(out), "--no-page", "--set", "heading_walk_rad=0.01"]
+    assert run(words) == 2  # no GPS in the log
+    assert run([*words, "--gps", str(tmp_path / "gps.nmea")]) == 0
+    shown = capsys.readouterr()
+    assert f"{len(rows)} fixes join the log" in shown.err
+    slip = pd.read_csv(out)["sideslip_rad"].to_numpy()
+    assert np.degrees(np.abs(slip - log.columns["sideslip_rad"])[500:]).max() < 1.0
+    (tmp_path / "none.nmea").write_text("$GPGGA\n")
+    assert run([*words, "--gps", str(tmp_path / "none.nmea")]) == 2
