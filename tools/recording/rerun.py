@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.errors import OutputError
 from polemap.drivelog.writers.trajectory import counts_from_1970
 from polemap.extras import need
 from polemap.tools.recording.scene import HEIGHT_M, WIDTH_M, Scene
@@ -17,6 +18,7 @@ from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 
+_MESSAGE_MAX = 280
 TIMELINE = "drive_time"
 _COLOURS = {"kf": (47, 126, 216), "pf": (139, 188, 33), "reference": (150, 150, 150)}
 _MAPPED, _SEEN, _CAR = (255, 153, 51), (77, 217, 64), (51, 128, 230)
@@ -32,15 +34,20 @@ def write_rerun(scene: Scene, path: Path, advance: Callable[[int], None] | None 
 
     Raises:
         InputError: an image that cannot be read.
+        OutputError: the recording cannot be written.
         MissingExtraError: rerun is not installed.
     """
     rerun: Any = need("rerun")
     with atomic_file(path) as part:
         recording = rerun.RecordingStream("polemap")
-        recording.save(str(part), default_blueprint=_views(scene))
-        _log(scene, recording, advance)
-        recording.flush()
-        recording.disconnect()
+        try:
+            recording.save(str(part), default_blueprint=_views(scene))
+            _log(scene, recording, advance)
+            recording.flush()
+            recording.disconnect()
+        except RuntimeError as error:
+            # rerun's own, of a full disk say
+            raise OutputError(f"{path}: cannot be written ({error})"[:_MESSAGE_MAX]) from error
 
 
 def show_in_viewer(scene: Scene, advance: Callable[[int], None] | None = None) -> None:
