@@ -99,13 +99,13 @@ def describe(drive: Drive, found: Calibration, out: Path | None = None) -> list[
     lines = [f"drive      {drive.name} ({drive.path})"]
     if found.rows is not None:
         lines += _describe_rows(found.rows)
-    lines.append(f"{'quantity':<38}{'stated':>10}{'found':>10}{'sd':>9}  from")
+    lines.append(f"{'quantity':<44}{'stated':>10}{'found':>10}{'sd':>9}  from")
     for q in found.quantities:
         degrees = q.name.endswith("_rad")
         size = float(np.degrees(1.0)) if degrees else 1.0
         name = q.name.replace("_rad", " (degrees)") if degrees else q.name
         lines.append(
-            f"{name:<38}{q.stated * size:10.3f}{q.found * size:10.3f}{q.sd * size:9.3f}  {q.source}"
+            f"{name:<44}{q.stated * size:10.3f}{q.found * size:10.3f}{q.sd * size:9.3f}  {q.source}"
         )
     for error in found.odometry[1:]:
         delay = f", delay {error.delay_s:.3f} s" if np.isfinite(error.delay_s) else ""
