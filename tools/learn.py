@@ -77,7 +77,7 @@ def learn(
     added = ~np.isin(built.pole_map.ids, old.ids)
     learnt = _with_precision(built.pole_map, old, solved, added)
     write_map(learnt, out)
-    return _said(learnt, added, out)
+    return (*built.reports, *_said(learnt, added, out))
 
 
 def _with_precision(
@@ -112,4 +112,7 @@ def _said(learnt: PoleMap, added: NDArray[np.bool_], out: Path) -> tuple[str, ..
                 f", known in the map to {np.median(known):.2f} m an axis (median, the worst "
                 f"{known.max():.2f} m)"
             )
+    waiting = learnt.doubtful
+    if waiting is not None and len(waiting):
+        line += f"; {len(waiting)} seen too seldom, or where earlier drives saw none, wait for more"
     return (line,)

@@ -13,6 +13,7 @@ from polemap.build.city.tiles import Run, here, merge_tiles
 from polemap.build.config import MappingConfig
 from polemap.build.drift import measure_drift
 from polemap.build.drive_observations import DriveObservations, join_cannot_link
+from polemap.build.earlier import earlier_drives, successors_of
 from polemap.build.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.build.history import COLUMN, OldMap, open_history, write_history
 from polemap.build.map_columns import (
@@ -30,8 +31,6 @@ from polemap.map.pole_map import PoleMap, join_maps
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
-
-_NEIGHBOUR_M = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +96,10 @@ def assemble_map(
     merged, seen = merge_tiles(
         landmarks, cannot_link, ordered, config, floor, run=run, tile_m=tile_m
     )
-    evidences = _all_evidence(ordered, seen, old, merged)
+    evidences, said = _all_evidence(ordered, seen, old, merged, stood)
     built = _finish(landmarks, merged, evidences, old, update, config, frame)
     reports = building_reports(ordered, shifts, align, merged, drifts)
+    reports = (*reports, said) if said is not None else reports
     if old is not None and old.moved:
         shown = ", ".join(str(name) for name in old.moved[:5])
         more = " …" if len(old.moved) > 5 else ""
@@ -160,52 +160,21 @@ def _all_evidence(
     parts: list[Visibility],
     old: OldMap | None,
     merged: Merged,
-) -> list[tuple[str, float, Evidence]]:
-    """What every drive, old and new, counted at every pole; in the order of time."""
+    stood: NDArray[np.bool_],
+) -> tuple[list[tuple[str, float, Evidence]], str | None]:
+    """What every drive, old and new, counted at every pole, in the order of time; what to say."""
     detection = detection_probability(parts)
     drives = [
         (part.detections.drive, part.detections.start_s, evidence(seen, detection))
         for part, seen in zip(ordered, parts, strict=True)
     ]
+    said = None
     if old is not None:
         rows = merged.owner[sum(len(part.landmarks) for part in ordered) :]
-        for name, when, counts in old.evidence:
-            drives.append((name, when, _carried(counts, old, rows, merged.points_m)))
-    return sorted(drives, key=lambda drive: (drive[1], drive[0]))
-
-
-def _carried(counts: Evidence, old: OldMap, cluster: Whole, points: Floats) -> Evidence:
-    """Counts at the old map's poles, at the clusters that their traversals went to.
-
-    Where the old map has no pole, its drives' scans are those at the nearest pole that it has: a
-    drive that had that one in view would have seen this one too, had it stood there.
-    """
-    n = len(points)
-    seen, views = np.zeros(n), np.zeros(n)
-    successors = _successors(old, cluster)
-    np.add.at(seen, successors[:, 1], counts.detected[successors[:, 0]])
-    np.add.at(views, successors[:, 1], counts.expected[successors[:, 0]])
-    new = np.setdiff1d(np.arange(n), successors[:, 1])
-    if len(new) and len(cluster):
-        distance, row = KDTree(old.landmarks.points_m).query(points[new])
-        near = np.asarray(distance) <= _NEIGHBOUR_M
-        views[new[near]] = counts.expected[old.pole[np.asarray(row)[near]]]
-    return Evidence(seen, views)
-
-
-def _successors(old: OldMap, cluster: Whole) -> Whole:
-    """Pairs `(pole of the old map, cluster)`: where most of its detections went.
-
-    Stray traversals that now stand alone inherit nothing.
-    """
-    width = int(cluster.max(initial=0)) + 1
-    links, row = np.unique(old.pole * width + cluster, return_inverse=True)
-    weight = np.bincount(row, old.landmarks.observations)
-    pole = links // width
-    order = np.lexsort((links, -weight, pole))
-    _, first = np.unique(pole[order], return_index=True)
-    chosen = links[order][first]
-    return np.stack([chosen // width, chosen % width], axis=1)
+        own = [counts for _, _, counts in drives]
+        carried, said = earlier_drives(old, rows, merged.points_m, own, stood)
+        drives += carried
+    return sorted(drives, key=lambda drive: (drive[1], drive[0])), said
 
 
 def _finish(
@@ -220,7 +189,7 @@ def _finish(
     n = len(merged)
     prior = np.zeros(n)
     old_rows = merged.owner[len(landmarks) - len(old.pole) :] if old is not None else None
-    successors = _successors(old, old_rows) if old is not None and old_rows is not None else None
+    successors = successors_of(old, old_rows) if old is not None and old_rows is not None else None
     if old is not None and successors is not None:
         np.maximum.at(prior, successors[:, 1], old.prior_log_odds[successors[:, 0]])
     stands = existence([counts for _, _, counts in drives], prior)

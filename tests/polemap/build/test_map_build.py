@@ -212,6 +212,22 @@ def test_an_update_equals_a_build_from_all_drives(
     assert np.median(np.abs(shift)) < 0.005
 
 
+def test_poles_taken_out_of_a_map_with_a_history_are_learnt_again(
+    days: list[DriveObservations],
+) -> None:
+    """The drives of the map had their neighbours in view, which says nothing in a part of a map."""
+    whole = assemble_map(days[:2], CONFIG, FRAME).pole_map
+    part = replace(whole.rows(np.random.default_rng(10).random(len(whole)) < 0.5), doubtful=None)
+    missing = whole.points_m[~np.isin(whole.ids, part.ids)]
+    updated = assemble_map(days[2:], CONFIG, FRAME, update=part)
+    assert len(match_points(updated.pole_map.points_m, missing, 0.5)) >= 0.9 * len(missing)
+    assert any("it has a part of its poles only" in said for said in updated.reports)
+    # in a whole map the silence of two drives still stands against the vans of a third
+    after = assemble_map(days[2:], CONFIG, FRAME, update=whole)
+    assert not any("part of its poles" in said for said in after.reports)
+    assert len(after.pole_map) <= 1.05 * len(whole)
+
+
 def test_an_inventory_is_brought_up_to_date(town: Town, days: list[DriveObservations]) -> None:
     """A public list of poles, 0.3 m wrong and with two that are not there, as a first map."""
     rng = np.random.default_rng(9)
