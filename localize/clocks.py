@@ -11,12 +11,13 @@ looks like that, and is left to the replay.
 from __future__ import annotations
 
 from collections import Counter
-from math import isfinite
 
 FUTURE_S = 0.05
 """A stamp may lie this far behind its arrival: clocks of one car, synchronised by software."""
 STEP_SAMPLES = 5
 """Samples in a row that must agree on a step: 0.1 s of odometry."""
+# no clock of a car reads more, in seconds of any era: what lies beyond is a damaged number
+_LATEST_S = 1e10
 # arrivals this far apart are a hole, and this far back a clock that was set: sensors that share a
 # queue come out of order by less
 _HOLE_S, _BACK_S = 60.0, 1.0
@@ -28,6 +29,11 @@ _SILENCE_S = 0.5
 _AGREE_S = 0.05
 # the typical delay follows short delays at once and long ones slowly
 _TYPICAL_SHARE = 0.01
+
+
+def is_time(stamp_s: float) -> bool:
+    """Whether a clock can read this: false for NaN, infinity and what leaves no digits for time."""
+    return abs(stamp_s) <= _LATEST_S
 
 
 class ComputerClock:
@@ -50,7 +56,7 @@ class ComputerClock:
 
     def accept(self, arrival_s: float) -> bool:
         """Whether a sample of this arrival may be used, with the correction that then holds."""
-        if not isfinite(arrival_s):
+        if not is_time(arrival_s):
             return True  # the sensor's own clock counts it and drops it
         arrival = arrival_s + self.correction_s
         newest = arrival if self._newest_s is None else self._newest_s
@@ -77,7 +83,7 @@ class ComputerClock:
 class StreamClock:
     """One sensor's stamps.
 
-    `counts` holds what was found, by kind: not_finite, future, clock_backwards (dropped while a
+    `counts` holds what was found, by kind: not_finite (or no time that a clock can read), future, clock_backwards (dropped while a
     step is being made sure of), clock_steps, silences.
     """
 
@@ -93,7 +99,7 @@ class StreamClock:
 
     def checked_stamp(self, stamp_s: float, arrival_s: float) -> float | None:
         """The stamp to use, or None if the sample must be dropped (and has been counted)."""
-        if not (isfinite(stamp_s) and isfinite(arrival_s)):
+        if not (is_time(stamp_s) and is_time(arrival_s)):
             self.counts["not_finite"] += 1
             return None
         self._watch_silence(arrival_s)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
-from math import isfinite
 from threading import Lock
 from typing import Protocol
 
@@ -16,7 +15,7 @@ from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.samples import GnssFix, OdometrySample, Sample, StereoFrame
 from polemap.localize.calibration import OdometryCorrection
-from polemap.localize.clocks import ComputerClock, StreamClock
+from polemap.localize.clocks import ComputerClock, StreamClock, is_time
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.odometry_watch import Held, OdometryWatch
@@ -209,7 +208,7 @@ class Localizer:
         or before the last one asked for, it is the filter's best knowledge of that moment.
         """
         with self._fast, self._times.of("output_tick"):
-            if not isfinite(stamp_s):
+            if not is_time(stamp_s):
                 self.counts["asked_not_finite"] += 1
                 return None
             asked_s, stamp_s = stamp_s, stamp_s + self._computer_clock.correction_s

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.tum import read_tum
 from polemap.evaluation.errors import first_on_poles_s
+from polemap.evaluation.runs.damage import check_metrics, check_table
 from polemap.parsing.csv_text import read_rows
 from polemap.parsing.errors import named
 from polemap.parsing.json_text import read_json
@@ -69,7 +70,10 @@ class Run:
         """
         if self.folder is None or not (self.folder / "output.csv").is_file():
             return None
-        return _read_table(self.folder / "output.csv")
+        path = self.folder / "output.csv"
+        table = _read_table(path)
+        check_table(path, table, self.kf.stamp_s, "kf.tum")
+        return table
 
     def on_poles_from_s(self) -> float:
         """First stamp of the output that a pose on poles has reached; -inf where none has.
@@ -187,17 +191,18 @@ def _read_run(
             f"on; its metrics.json has its errors, and --add NAME={folder / 'kf.tum'} sets it "
             "beside a run in a map"
         )
+    pf = read_tum(folder / "pf.tum", allow_empty=allow_without_poles)
+    health = _read_table(folder / "health.csv")
+    check_table(folder / "health.csv", health, pf.stamp_s, "pf.tum")
+    timings = _read_table(timing) if timing.is_file() else {}
+    check_table(timing, timings, pf.stamp_s, "pf.tum")
     return Run(
         seed=seed,
-        pf=read_tum(folder / "pf.tum", allow_empty=allow_without_poles),
+        pf=pf,
         kf=read_tum(folder / "kf.tum"),
-        health=_read_table(folder / "health.csv"),
-        timings={
-            key: column
-            for key, column in (_read_table(timing) if timing.is_file() else {}).items()
-            if isinstance(column, np.ndarray)
-        },
-        metrics=_read_metrics(folder / "metrics.json"),
+        health=health,
+        timings={key: column for key, column in timings.items() if isinstance(column, np.ndarray)},
+        metrics=read_metrics(folder / "metrics.json"),
         folder=folder,
     )
 
@@ -222,12 +227,18 @@ def _read_config(path: Path) -> Mapping[str, Any]:
     return tree
 
 
-def _read_metrics(path: Path) -> Mapping[str, Any]:
+def read_metrics(path: Path) -> Mapping[str, Any]:
+    """Content of metrics.json.
+
+    Raises:
+        InputError: it is missing, is no JSON object, or holds figures that are no numbers.
+    """
     _check_there(path)
     with named(path, InputError, "metrics file"):
         metrics = read_json(path)
     if not isinstance(metrics, dict):
         raise InputError(f"{path}: expected an object, found {type(metrics).__name__}")
+    check_metrics(path, metrics)
     return metrics
 
 

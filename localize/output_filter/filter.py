@@ -8,11 +8,11 @@ rejection policy, counts) is part of the state, so a replay decides again, as in
 from __future__ import annotations
 
 from collections import deque
-from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.localize.clocks import is_time
 from polemap.localize.gnss.ekf_update import update_by_gnss
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.gnss.start import GnssStart
@@ -36,6 +36,7 @@ from polemap.localize.output_filter.state import (
     PoseUpper,
     RestartEvent,
 )
+from polemap.localize.usable import FARTHEST_ON_EARTH_M
 from polemap.vehicle.delay import Placement, ReplayBuffer
 from polemap.vehicle.kalman import (
     is_covariance,
@@ -242,7 +243,9 @@ class OutputFilter:
 
 
 def usable_pose(stamp_s: float, pose: Floats, covariance: Floats) -> str | None:
-    """Why a pose cannot be taken in ("not_finite", "bad_covariance"), or None."""
-    if not isfinite(stamp_s) or not np.isfinite(pose).all():
+    """Why a pose cannot be taken in ("not_finite": or nowhere on earth, "bad_covariance"), or None."""
+    # comparisons with what is not a number are false
+    if not is_time(stamp_s) or not (np.abs(pose) <= FARTHEST_ON_EARTH_M).all():
         return "not_finite"
-    return None if is_covariance(covariance) else "bad_covariance"
+    known = is_covariance(covariance) and np.abs(covariance).max() <= FARTHEST_ON_EARTH_M**2
+    return None if known else "bad_covariance"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.samples import GnssFix, OdometrySample, Sample
 from polemap.localize.clocks import ComputerClock
 from polemap.localize.config import LocalizeConfig
@@ -118,6 +119,7 @@ def spoilt_scans(scan: Detections) -> list[Detections]:
     n = len(scan)
     asymmetric = scan.covariance_m2.copy()
     asymmetric[:, 0, 1] += 1.0
+    b = 1.0 - 1e-16  # definite by its rounding alone
     with np.errstate(over="ignore"):
         return [
             scan.with_columns(points_vehicle_m=np.full((n, 2), np.nan)),
@@ -126,9 +128,49 @@ def spoilt_scans(scan: Detections) -> list[Detections]:
             scan.with_columns(covariance_m2=np.zeros((n, 2, 2))),
             scan.with_columns(covariance_m2=scan.covariance_m2 * np.inf),
             scan.with_columns(covariance_m2=asymmetric),
+            scan.with_columns(covariance_m2=np.tile([[1.0, b], [b, 1.0]], (n, 1, 1))),
+            scan.with_columns(covariance_m2=np.tile([[1e6, 0.0], [0.0, 1e-12]], (n, 1, 1))),
             scan.with_columns(width_m=np.full(n, 1e308)),
             scan.with_columns(probability=np.full(n, np.nan)),
         ]
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308, 1e15])
+@pytest.mark.parametrize("at_first", [True, False])
+def test_times_that_no_clock_reads_are_dropped(value: float, at_first: bool) -> None:
+    """However many of them agree, and be they the first that is heard of a sensor."""
+
+    def wild(samples: Iterable[Sample]) -> Iterator[Sample]:
+        left = {kind: 10 for kind in KINDS}
+        for sample in samples:
+            kind = type(sample)
+            if left.get(kind) and (at_first or sample.stamp_s > ODD_S):
+                left[kind] -= 1
+                yield replace(sample, stamp_s=value, arrival_s=value)
+                yield replace(sample, stamp_s=value)
+            yield sample
+
+    localizer, answers = live(wild)
+    assert is_right_in_the_end(answers)
+    counts = localizer.summary()
+    assert [counts[f"{name}_not_finite"] for name in ("odometry", "gnss", "camera")] == [20, 20, 20]
+    assert localizer.pose_at(value) is None
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "pose", "covariance", "problem"),
+    [
+        (1e308, np.zeros(3), np.eye(3), "not_finite"),
+        (5.0, np.array([1e308, 0.0, 0.0]), np.eye(3), "not_finite"),
+        (5.0, np.zeros(3), 1e300 * np.eye(3), "bad_covariance"),
+    ],
+)
+def test_a_start_that_is_nowhere_is_refused(
+    stamp_s: float, pose: np.ndarray, covariance: np.ndarray, problem: str
+) -> None:
+    localizer = Localizer(city().pole_map, LocalizeConfig(), 2.7, np.random.default_rng(0))
+    with pytest.raises(InputError, match=problem):
+        localizer.start_at(stamp_s, pose, covariance)
 
 
 def test_of_a_scan_the_usable_poles_are_kept() -> None:

@@ -260,6 +260,28 @@ def test_a_drive_that_cannot_be_right_is_refused_unless_forced(
     assert "error: " in capsys.readouterr().err
 
 
+def cut(path: Path) -> None:
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[: len(lines) // 2]))
+
+
+def repeat_header(path: Path) -> None:
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*lines[:3], lines[0], *lines[3:]]))
+
+
+def put(path: Path, stamp: str) -> None:
+    """Another stamp in line 3."""
+    lines = path.read_text().splitlines(keepends=True)
+    lines[2] = f"{stamp},{lines[2].partition(',')[2]}"
+    path.write_text("".join(lines))
+
+
+def figures(run: Path, **changed: Any) -> None:
+    path = run / "metrics.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changed}))
+
+
 def refuse(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     assert cli.run(["report", *arguments]) == cli.USER_ERROR
     lines = capsys.readouterr().err.strip().splitlines()
@@ -285,6 +307,21 @@ def refuse(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         (lambda run: (run / "config.yaml").write_text("seed: x"), "not a whole number"),
         (lambda run: (run / "health.csv").write_text(""), "is empty"),
         (lambda run: (run / "health.csv").write_text("a,b\n1\n"), "health.csv:2: 1 cells"),
+        (lambda run: cut(run / "health.csv"), "rows, and pf.tum beside it"),
+        (lambda run: cut(run / "pf.tum"), "health.csv: has"),
+        (lambda run: repeat_header(run / "health.csv"), "column stamp_s: 'stamp_s' is no number"),
+        (lambda run: put(run / "health.csv", "1e308"), "health.csv:3: stamp_s is 1e+308"),
+        (lambda run: put(run / "health.csv", "7"), "health.csv:3: stamp_s is 7.000, that of the"),
+        (lambda run: figures(run, timing_ms=3), "timing_ms: expected an object, found int"),
+        (lambda run: figures(run, timing_ms={"a": {"p95": "x"}}), "timing_ms.a.p95 is 'x'"),
+        (lambda run: figures(run, reinitializations="many"), "reinitializations is 'many'"),
+        (lambda run: figures(run, gate_rejections=True), "gate_rejections is 'True'"),
+        (lambda run: figures(run, late_dropped=-1), "a count below zero"),
+        (lambda run: figures(run, real_time_factor=1e308), "real_time_factor is '1e+308'"),
+        (lambda run: figures(run, real_time_factor=float("nan")), "real_time_factor is 'nan'"),
+        (lambda run: figures(run, kf={"lateral_rmse_m": []}), "kf.lateral_rmse_m is '[]'"),
+        (lambda run: figures(run, pf=[1]), "pf: expected an object, found list"),
+        (lambda run: figures(run, verdict={"healthy_share": "all"}), "verdict.healthy_share"),
     ],
 )  # fmt: skip
 def test_damaged_run_folders(
