@@ -83,8 +83,8 @@ class ComputerClock:
 class StreamClock:
     """One sensor's stamps.
 
-    `counts` holds what was found, by kind: not_finite (or no time that a clock can read), future, clock_backwards (dropped while a
-    step is being made sure of), clock_steps, silences.
+    `counts` holds what was found, by kind: not_finite (or no time that a clock can read), future,
+    clock_backwards (dropped while a step is being made sure of), clock_steps, silences.
     """
 
     def __init__(self) -> None:

@@ -243,7 +243,7 @@ class OutputFilter:
 
 
 def usable_pose(stamp_s: float, pose: Floats, covariance: Floats) -> str | None:
-    """Why a pose cannot be taken in ("not_finite": or nowhere on earth, "bad_covariance"), or None."""
+    """Why a pose cannot be taken in ("not_finite", or nowhere; "bad_covariance"), or None."""
     # comparisons with what is not a number are false
     if not is_time(stamp_s) or not (np.abs(pose) <= FARTHEST_ON_EARTH_M).all():
         return "not_finite"

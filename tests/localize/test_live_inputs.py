@@ -141,7 +141,7 @@ def test_times_that_no_clock_reads_are_dropped(value: float, at_first: bool) -> 
     """However many of them agree, and be they the first that is heard of a sensor."""
 
     def wild(samples: Iterable[Sample]) -> Iterator[Sample]:
-        left = {kind: 4 for kind in KINDS}
+        left = dict.fromkeys(KINDS, 4)
         for sample in samples:
             kind = type(sample)
             if left.get(kind) and (at_first or sample.stamp_s > ODD_S):
