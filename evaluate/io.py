@@ -23,6 +23,8 @@ from polemap.vehicle.trajectory import Trajectory
 
 # of a city the poles that pictures and bounds of a route need
 POLES_AROUND_M = 200.0
+# farther from the runs than their extent and this, a trajectory is one of another origin
+_OTHER_ORIGIN_M = 1000.0
 
 
 def open_routes(
@@ -37,7 +39,7 @@ def open_routes(
     they come from one drive, or stand in one frame and cover half of each other's course.
 
     Raises:
-        InputError: an added trajectory shares no time with any recording.
+        InputError: an added trajectory shares no time with any recording, or lies far from it.
     """
     grouped: dict[tuple[str, str | None], dict[str, RunSet]] = {}
     for one in run_sets:
@@ -137,6 +139,17 @@ def _own_map(recording: Recording, pole_map: PoleMap | None) -> list[str]:
     return [f"{recording.name}: its map was built from this drive: the figures flatter"]
 
 
+def _check_near(path: Path, track: Trajectory, goal: Trajectory) -> None:
+    """Refuse a trajectory of another origin: its errors would be the distance of two origins."""
+    between = np.median(track.poses[:, :2], axis=0) - np.median(goal.poses[:, :2], axis=0)
+    extent_m = float(np.ptp(goal.poses[:, :2], axis=0).max())
+    if (far_m := float(np.hypot(*between))) > _OTHER_ORIGIN_M + extent_m:
+        raise InputError(
+            f"{path}: lies {far_m / 1e3:.1f} km from the runs; give it in their frame, or --align "
+            "origin or se2"
+        )
+
+
 def _with_added(
     recordings: list[Recording], added: Mapping[str, Path], alignment: Alignment
 ) -> tuple[list[Recording], dict[int, list[str]]]:
@@ -162,6 +175,7 @@ def _with_added(
                 used = True
                 if not timed:
                     part, text = align(part, goal, alignment, name)
+                _check_near(path, part, goal)
                 done.setdefault(number, []).append(text)
                 result[number] = Recording(
                     one.name, one.settings, one.guide, one.drive, one.reference,

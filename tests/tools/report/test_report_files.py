@@ -368,6 +368,16 @@ def test_added_trajectory_of_another_clock(
     assert "share no time" in refuse(arguments, capsys)
 
 
+def test_added_trajectory_of_another_origin(
+    campus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kf = read_tum(campus / "000" / "kf.tum")
+    far = tmp_path / "far.tum"
+    far.write_text(tum_text(Trajectory(kf.stamp_s, kf.poses + [4e5, 0.0, 0.0])))
+    arguments = [str(campus), "--add", f"far={far}", "--out", str(tmp_path / "out")]
+    assert "km from the runs; give it in their frame, or --align" in refuse(arguments, capsys)
+
+
 def test_output_counts_from_its_first_pose_on_poles(
     make_runs: Maker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
