@@ -143,7 +143,8 @@ def _check_near(path: Path, track: Trajectory, goal: Trajectory) -> None:
     """Refuse a trajectory of another origin: its errors would be the distance of two origins."""
     between = np.median(track.poses[:, :2], axis=0) - np.median(goal.poses[:, :2], axis=0)
     extent_m = float(np.ptp(goal.poses[:, :2], axis=0).max())
-    if (far_m := float(np.hypot(*between))) > _OTHER_ORIGIN_M + extent_m:
+    far_m = float(np.hypot(*between))
+    if far_m > _OTHER_ORIGIN_M + extent_m:
         raise InputError(
             f"{path}: lies {far_m / 1e3:.1f} km from the runs; give it in their frame, or --align "
             "origin or se2"

@@ -373,7 +373,7 @@ def test_added_trajectory_of_another_origin(
 ) -> None:
     kf = read_tum(campus / "000" / "kf.tum")
     far = tmp_path / "far.tum"
-    far.write_text(tum_text(Trajectory(kf.stamp_s, kf.poses + [4e5, 0.0, 0.0])))
+    far.write_text(tum_text(Trajectory(kf.stamp_s, kf.poses + np.array([4e5, 0.0, 0.0]))))
     arguments = [str(campus), "--add", f"far={far}", "--out", str(tmp_path / "out")]
     assert "km from the runs; give it in their frame, or --align" in refuse(arguments, capsys)
 
