@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polemap.build.slam.report import DriveSummary, LoopFigures, SlamSummary
+from polemap.build.slam.report import DriveSummary, LoopFigures, SlamSummary, once_sentence
 from polemap.drivelog.errors import InputError
 from polemap.evaluation.results import RouteResult
 from polemap.tools.report.slam_pictures import expected_picture, fixes_picture, loops_picture
@@ -109,7 +109,8 @@ def _sentences(summary: SlamSummary) -> tuple[str, ...]:
         f"{summary.links} passes of poles {summary.links_given_up} did not fit their pole and were "
         "given up."
     )
-    return expected + place, loops
+    once = once_sentence(summary)
+    return (expected + place, loops) if once is None else (expected + place, f"{once}.", loops)
 
 
 def _strain(places: Sequence[LoopFigures]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.build.slam.constants import SUBMAP_M
 from polemap.build.slam.motion import CALIBRATION, SLIP
 
 Floats = NDArray[np.float64]
@@ -110,6 +111,48 @@ class SlamSummary:
         return _plain(asdict(self))  # type: ignore[return-value]
 
 
+def once_m(summary: SlamSummary) -> float:
+    """Way of all drives of which no place was seen again, so that its fixes alone say where it is.
+
+    A loop vouches for the way of a local map before and after it.
+    """
+    total = 0.0
+    for part in summary.drives:
+        loops = [
+            way
+            for one in summary.places
+            if not one.taken_back
+            for drive, way in (
+                (one.first_drive, one.first_way_m),
+                (one.second_drive, one.second_way_m),
+            )
+            if drive == part.drive
+        ]
+        way = np.asarray(part.along.way_m, dtype=np.float64)
+        gap = np.full(len(way), np.inf)
+        if loops:
+            gap = np.abs(way[:, None] - np.array(loops)).min(axis=1)
+        # stations stand for half of the way to their neighbours
+        share = np.gradient(way) if len(way) > 1 else np.zeros(len(way))
+        if len(way) > 1:
+            share[0], share[-1] = share[0] / 2.0, share[-1] / 2.0
+        total += float(np.sum(share[gap > SUBMAP_M]))
+    return total
+
+
+def once_sentence(summary: SlamSummary) -> str | None:
+    """What is not stated of way that was driven once; None where there is none, or no fix."""
+    alone = once_m(summary)
+    if not summary.absolute or alone < SUBMAP_M:
+        return None
+    whole = sum(part.way_m for part in summary.drives)
+    return (
+        f"{alone:.0f} m of {whole:.0f} m were seen once only, tied to the earth by the fixes of "
+        "that one pass: fixes that are wrong alike for a minute bend such a stretch unseen, by "
+        "several times what is stated to the earth; drive it again, at another time"
+    )
+
+
 def _plain(value: object) -> object:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
@@ -154,6 +197,9 @@ def sentences(summary: SlamSummary) -> tuple[str, ...]:
             f"  GNSS as measured: {summary.gnss_sd_m:.2f} m an axis at HDOP 1, lasting "
             f"{summary.gnss_correlation_s:.0f} s"
         )
+        once = once_sentence(summary)
+        if once is not None:
+            lines.append(f"  {once}")
     else:
         lines.append("  no drive has a fix: the map stands in a local frame that begins at the car")
     return tuple(lines)

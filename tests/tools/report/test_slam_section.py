@@ -12,7 +12,15 @@ import pytest
 import yaml
 
 from polemap.build.slam.motion import CALIBRATION
-from polemap.build.slam.report import AlongRoute, DriveSummary, LoopFigures, SlamSummary
+from polemap.build.slam.report import (
+    AlongRoute,
+    DriveSummary,
+    LoopFigures,
+    SlamSummary,
+    once_m,
+    once_sentence,
+    sentences,
+)
 from polemap.drivelog.errors import InputError
 from polemap.tools import cli
 from polemap.tools.slam_file import figures_path, read_figures, remove_figures, write_figures
@@ -66,6 +74,24 @@ def test_figures_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert changed is not None
     assert not changed.is_of_this_map
     assert read_figures(tmp_path / "other.csv") is None
+
+
+def test_way_seen_once_is_told_apart_from_what_loops_vouch_for() -> None:
+    """An arm's fixes may be wrong alike, which no stated deviation knows of."""
+    way = tuple(float(at) for at in range(0, 401, 10))
+    same = (0.5,) * len(way)
+    arm = replace(drive(), way_m=400.0, along=AlongRoute(way, way, way, same, same, (), (), ()))
+    looped = summary(arm)  # from 10 m on the way to 90 m; another loop was taken back
+    assert once_m(looped) == pytest.approx(10.0 + 275.0, abs=6.0)
+    assert "of 400 m were seen once only" in (once_sentence(looped) or "")
+    assert any("were seen once only" in line for line in sentences(looped))
+    # without loops all of it, without fixes the earth is not spoken of
+    assert once_m(replace(looped, places=())) == pytest.approx(400.0)
+    assert once_sentence(replace(looped, absolute=False)) is None
+    near = (replace(looped.places[0], second_way_m=35.0), looped.places[0])
+    assert once_sentence(replace(summary(drive()), places=near)) is None
+    nothing = replace(drive(), along=AlongRoute((0.0,), (0.0,), (0.0,), (1.0,), (1.0,), (), (), ()))
+    assert once_m(summary(nothing)) == 0.0
 
 
 @pytest.mark.parametrize(
