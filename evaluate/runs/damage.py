@@ -21,8 +21,8 @@ COUNTS = ("reinitializations", "exploration_events", "gate_rejections", "late_dr
 _NUMBERS = (*COUNTS, "real_time_factor", "on_poles_from_s")
 _OF_ERRORS = ("lateral_rmse_m", "longitudinal_rmse_m", "yaw_rmse_rad", "nees_mean")
 _OF_VERDICT = ("healthy_share", "position_sd_m")
-# beyond it no float takes part in a sum of squares
-_LARGEST = 1e15
+# the squares of what lies beyond overflow
+_LARGEST = 1e150
 _SAME_STAMP_S = 1e-3
 
 
@@ -58,7 +58,8 @@ def check_table(path: Path, table: Table, stamp_s: Floats, poses: str) -> None:
         if not isinstance(column, np.ndarray):
             raise InputError(f"{path}: column {name}: {_first_word(column)} is no number")
         with np.errstate(invalid="ignore"):
-            wild = np.flatnonzero(np.abs(column) > _LARGEST)
+            # infinite is, say, the age of a pose on poles where there was none
+            wild = np.flatnonzero((np.abs(column) > _LARGEST) & ~np.isinf(column))
         if len(wild):
             raise InputError(
                 f"{path}:{wild[0] + 2}: {name} is {column[wild[0]]:g}; the file is damaged"
