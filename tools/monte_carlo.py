@@ -15,6 +15,7 @@ from typing import Any
 from polemap import __version__
 from polemap.drivelog.atomic import atomic_folder, copy_folder, reserved
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.jobs import LocalWorkers, run_jobs
 from polemap.evaluation.run_metrics import run_metrics, spread, timing_summary
@@ -24,12 +25,16 @@ from polemap.localize.replay import Run, replay
 from polemap.map.city.city_map import CityMap
 from polemap.map.files.io import map_files
 from polemap.map.pole_map import PoleMap
+from polemap.parsing.errors import named
 from polemap.parsing.json_text import read_json
 from polemap.settings import Settings
 from polemap.tools.detection_cache import drive_fingerprint, fingerprint
 from polemap.tools.drive_detection import DriveDetections, Source
 from polemap.tools.machine import describe_machine
 from polemap.tools.progress import progress
+
+# what a verdict may say, from good to bad
+TRUST = ("trustworthy", "partly", "not")
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +166,7 @@ def run_many(
     if kept is not None:
         for place, name in zip(places, names, strict=True):
             copy_folder(place, folder / name)
-    ordered = [_read_metrics(folder / name / "metrics.json") for name in names]
+    ordered = [_read_metrics(place / "metrics.json") for place in places]
     metrics = {
         "runs": runs,
         "seeds": [seed, seed + runs - 1],
@@ -169,7 +174,7 @@ def run_many(
         **spread(ordered),
     }
     words = [run["verdict"]["trust"] for run in ordered]
-    worst = max(words, key=("trustworthy", "partly", "not").index)
+    worst = max(words, key=TRUST.index)
     said = next(run["verdict"]["sentence"] for run in ordered if run["verdict"]["trust"] == worst)
     counted = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
     metrics["verdict"] |= {"trust": worst, "sentence": f"{said} (runs: {counted})"}
@@ -194,12 +199,24 @@ def do_run(one: RunJob) -> None:
 
 
 def _read_metrics(path: Path) -> dict[str, Any]:
-    """The metrics of a run; what JSON has as null was a number that is not finite."""
+    """The metrics of a run; what JSON has as null was a number that is not finite.
+
+    Raises:
+        InputError: damaged, as a run that was kept may be by now.
+    """
 
     def back(value: Any) -> Any:
         if isinstance(value, dict):
             return {key: back(item) for key, item in value.items()}
         return math.nan if value is None else value
 
-    metrics: dict[str, Any] = back(read_json(path))
+    with named(path, InputError, "metrics of a run"):
+        tree = read_json(path)
+    verdict = tree.get("verdict") if isinstance(tree, dict) else None
+    whole = isinstance(verdict, dict) and verdict.get("trust") in TRUST and "sentence" in verdict
+    if not whole or not {"drive", "frame", "notes"} <= tree.keys():
+        raise InputError(
+            f"{path}: is not the metrics of a run; delete {path.parent} and start anew"
+        )
+    metrics: dict[str, Any] = back(tree)
     return metrics

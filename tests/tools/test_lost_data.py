@@ -189,6 +189,15 @@ def test_runs_in_a_cache_survive_a_result_that_fails(
     assert not (place / "many").exists()
     (runs,) = (place / "kept").iterdir()
     assert sorted(path.name for path in runs.iterdir()) == ["0", "1"]
+    metrics = runs / "0" / "metrics.json"
+    whole = metrics.read_bytes()
+    for damage in ("{", "[]", "{}", '{"verdict": {"trust": 5}}'):
+        metrics.unlink()
+        metrics.write_text(damage)
+        assert cli.run(words) == cli.USER_ERROR
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "0/metrics.json: " in line
+    metrics.write_bytes(whole)
     assert cli.run(words) == cli.GOOD
     assert {"000", "001"} <= {path.name for path in (place / "many").iterdir()}
     assert list((place / "kept").iterdir()) == []
