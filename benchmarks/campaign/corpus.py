@@ -135,6 +135,7 @@ def _runs(folder: Path, add: Add) -> None:
     (run / "timing.csv").write_text("stamp_s,update_ms\n100.0,3.5\n100.1,2\n")
     (run / "output.csv").write_text(
         "stamp_s,var_east_m2,var_north_m2,cov_east_north_m2,var_yaw_rad2\n100,1,1,0,0.1\n"
+        "100.1,1,1,0,0.1\n"
     )
     (run / "config.yaml").write_text(
         yaml.safe_dump({"drive": "d", "map": "m", "lap": None, "seed": 3, "settings": {"a": [1]}})
