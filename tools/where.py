@@ -125,7 +125,8 @@ def _about(map_file: Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"{index_file(map_file)}: {error}") from error
+        name = f"{index_file(map_file)}: "
+        raise InputError(name + str(error).removeprefix(name)) from error
 
 
 def _record(found: Found, index: PatternIndex) -> dict[str, Any]:

@@ -105,8 +105,7 @@ def judge(index: PatternIndex, local: LocalMap, poses: Floats, most: int = 60) -
 def _width_ratio(index: PatternIndex, seen: Floats, row: Whole) -> Floats:
     """Likelihood ratio `(m, n)` of the widths `(n,)` that were seen, against those of any pole of
     the map; one where one of them is unknown."""
-    every = index.width_m[:: max(1, len(index) // _WIDTHS)].astype(np.float64)
-    every = every[np.isfinite(every)]
+    every = index.widths_m(_WIDTHS)
     mapped = index.width_m[row].astype(np.float64)
     if not len(every):
         return np.ones(mapped.shape)

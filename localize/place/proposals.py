@@ -51,7 +51,7 @@ def propose(index: PatternIndex, local: LocalMap, most: int) -> Proposals:
     rarity; those that regular rows repeat everywhere may not be looked up at all.
     """
     none = Proposals(np.empty((0, 3)), np.empty(0))
-    asked, sd = _asked(local, float(np.median(index.sd_m[:1000])) if len(index) else 0.0)
+    asked, sd = _asked(local, index.sd_typical_m)
     if not len(asked) or not index.triangles:
         return none
     tolerance = _REACHED_SD * sd

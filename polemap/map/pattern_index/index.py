@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.map.pattern_index.blocks import CheckedBlocks
 from polemap.map.pattern_index.cells import CELL_M, cell_numbers, cell_places, members
 from polemap.map.pattern_index.triples import keys
 
@@ -17,6 +19,7 @@ Whole = NDArray[np.int64]
 
 DIRECTIONS = 2**16
 """Steps of a full turn in which the direction of a triangle is kept."""
+_SOME = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,7 @@ class PatternIndex:
         shape_first: `(s + 1,)` first triangle of each shape.
         pole: `(t,)` row of the first corner of each triangle, ordered by shape.
         direction: `(t,)` of its longest side, in steps of a full turn.
+        blocks: hold what is touched of a file against its checksums; None of arrays in memory.
     """
 
     frame: EarthFrame
@@ -61,6 +65,7 @@ class PatternIndex:
     shape_first: Whole
     pole: NDArray[np.uint32]
     direction: NDArray[np.uint16]
+    blocks: CheckedBlocks | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -70,11 +75,32 @@ class PatternIndex:
         """How many triangles it holds."""
         return len(self.pole)
 
+    @property
+    def sd_typical_m(self) -> float:
+        """Median standard deviation of a coordinate, of some poles; 0 without any."""
+        some = np.arange(min(len(self), _SOME))
+        self._check("sd_m", some)
+        return float(np.median(self.sd_m[some])) if len(some) else 0.0
+
+    def widths_m(self, most: int) -> Floats:
+        """The known widths of some poles from all over the map, so many or a few more at most.
+
+        Raises:
+            InputError: the file is damaged there.
+        """
+        rows = np.arange(0, len(self), max(1, len(self) // most))
+        self._check("width_m", rows)
+        some = self.width_m[rows].astype(np.float64)
+        return some[np.isfinite(some)]
+
     def ranges(self, low: Whole, high: Whole) -> tuple[Whole, Whole, Whole]:
         """Where triangles stand whose quantised sides lie between `low` and `high` `(q, 3)`.
 
         Returns:
             First and stop of ranges of triangles, and the query of each.
+
+        Raises:
+            InputError: the file is damaged there.
         """
         wide = np.maximum(high - low + 1, 0)
         _, query = members(np.zeros(len(low), dtype=np.int64), wide[:, 0] * wide[:, 1])
@@ -83,11 +109,13 @@ class PatternIndex:
         sides = low[query].copy()
         sides[:, 0] += longest
         sides[:, 1] += second
-        begin = np.searchsorted(self.shapes, keys(sides))
+        begin = self._place("shapes", keys(sides), "left")
         sides[:, 2] = high[query, 2]
-        end = np.searchsorted(self.shapes, keys(sides), side="right")
+        end = self._place("shapes", keys(sides), "right")
         filled = end > begin
         begin, end = begin[filled], end[filled]
+        self._check("shape_first", begin)
+        self._check("shape_first", end)
         # whatever stands in a damaged file, no range leads beyond the triangles that there are
         first = np.clip(self.shape_first[begin], 0, len(self.pole))
         stop = np.clip(self.shape_first[end], first, len(self.pole))
@@ -97,20 +125,26 @@ class PatternIndex:
         """The triangles of ranges that `ranges` gave.
 
         Raises:
-            InputError: the index names poles that it does not hold.
+            InputError: the index names poles that it does not hold, or its file is damaged.
         """
+        for name in ("pole", "direction"):
+            self._check_ranges(name, first, stop)
         number, owner = members(first, stop)
         pole = self.pole[number].astype(np.int64)
         if len(pole) and pole.max() >= len(self.points_m):
             raise InputError(
                 "index of patterns: it names poles that are not there; delete its file"
             )
+        self._check("points_m", pole)
         return Hits(query[owner], pole, self.direction[number])
 
     def nearest(self, points_m: Floats, limit_m: float) -> tuple[Floats, Whole]:
         """Distance and row of the nearest pole of each point `(..., 2)`.
 
         Infinite distance and row -1 where none lies within `limit_m`, at most half a cell.
+
+        Raises:
+            InputError: the file is damaged there.
         """
         asked = np.asarray(points_m, dtype=np.float64)
         flat = asked.reshape(-1, 2)
@@ -133,7 +167,11 @@ class PatternIndex:
         return distance.reshape(asked.shape[:-1]), row.reshape(asked.shape[:-1])
 
     def within(self, centre_m: Floats, radius_m: float) -> Whole:
-        """Rows of the poles within a distance of a place `(2,)`, ascending."""
+        """Rows of the poles within a distance of a place `(2,)`, ascending.
+
+        Raises:
+            InputError: the file is damaged there.
+        """
         low = cell_places(centre_m - radius_m)
         high = cell_places(centre_m + radius_m)
         east, north = (np.arange(low[i], high[i] + 1) for i in (0, 1))
@@ -145,11 +183,44 @@ class PatternIndex:
     def _of_cells(self, places: Whole) -> tuple[Whole, Whole]:
         """Poles in cells `(n, 2)`, and the cell of each."""
         number = cell_numbers(places)
-        at = np.searchsorted(self.cells, number)
+        at = self._place("cells", number, "left")
         at[at == len(self.cells)] = 0
         there = np.zeros(len(number), dtype=bool)
         if len(self.cells):
             there = self.cells[at] == number
+            self._check("cell_first", at[there])
+            self._check("cell_first", at[there] + 1)
         first = np.clip(np.where(there, self.cell_first[at], 0), 0, len(self))
         stop = np.clip(np.where(there, self.cell_first[at + there], 0), first, len(self))
+        for name in ("points_m", "sd_m", "width_m"):
+            self._check_ranges(name, first, stop)
         return members(first, stop)
+
+    def _place(self, name: str, asked: NDArray[Any], side: Literal["left", "right"]) -> Whole:
+        """Where numbers belong in an ascending array."""
+        values: NDArray[Any] = getattr(self, name)
+        if self.blocks is not None:
+            self.blocks.check_unchanged()
+        at = np.searchsorted(values, asked, side)
+        if self.blocks is None or not len(values):
+            return at
+        # bisection also reads what is not checked: but where both neighbours are as written, and
+        # the number belongs between them, it can belong nowhere else
+        before, behind = np.maximum(at - 1, 0), np.minimum(at, len(values) - 1)
+        self.blocks.check(name, before)
+        self.blocks.check(name, behind)
+        low, high = values[before], values[behind]
+        right = side == "right"
+        placed = (at == 0) | ((low <= asked) if right else (low < asked))
+        placed &= (at == len(values)) | ((high > asked) if right else (high >= asked))
+        if not placed.all():
+            raise self.blocks.damaged(name)
+        return at
+
+    def _check(self, name: str, rows: Whole) -> None:
+        if self.blocks is not None:
+            self.blocks.check(name, rows)
+
+    def _check_ranges(self, name: str, first: Whole, stop: Whole) -> None:
+        if self.blocks is not None:
+            self.blocks.check_ranges(name, first, stop)

@@ -2,15 +2,20 @@
 
 `MAP.patterns` begins with a mark and the length of its head. The head is a JSON object: version,
 frame, the digest of every tile, what the map's files were like (size, time of change, SHA-256 of
-their bytes), and type, shape and place of every array, which follow as plain numbers. An index
-whose map has changed since, or of another version, is not used.
+their bytes), and type, shape and place of every array, which follow as plain numbers. Behind them
+stand the CRC-32 of every block of 64 KiB of the arrays, and one of mark, head and these: the last
+is held against what is read at opening, the others where a block is first touched. An index whose
+map has changed since, or of another version, is not used.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import struct
+import weakref
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,15 +27,16 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.files.io import State, is_of, map_digests, map_state, require_map
+from polemap.map.pattern_index.blocks import BLOCK, BlockSums, CheckedBlocks
 from polemap.map.pattern_index.build import Run, TiledMap, build_index, here, kept_tiles
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pole_map import PoleMap
-from polemap.parsing.errors import named
+from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.json_text import parse_json
 
-VERSION = 2
+VERSION = 3
 _MARK = b"polemap patterns\n"
-_LENGTH = struct.Struct("<Q")
+_LENGTH, _SUM = struct.Struct("<Q"), struct.Struct("<I")
 _ALIGNED = 64
 _LARGEST_HEAD = 100_000_000
 _REMEDY = "delete it and polemap map --index or polemap where builds it anew"
@@ -89,11 +95,16 @@ def write_index(
     }
     text = json.dumps(head).encode()
     text += b" " * (-(len(_MARK) + _LENGTH.size + len(text)) % _ALIGNED)
+    opening = _MARK + _LENGTH.pack(len(text)) + text
+    blocks = BlockSums()
     with atomic_file(path, [map_file]) as part, part.open("wb") as stream:
-        stream.write(_MARK + _LENGTH.pack(len(text)) + text)
+        stream.write(opening)
         for array in arrays.values():
-            stream.write(array.data if array.size else b"")
-            stream.write(bytes(-array.nbytes % _ALIGNED))
+            for data in (array.data if array.size else b"", bytes(-array.nbytes % _ALIGNED)):
+                blocks.add(data)
+                stream.write(data)
+        sums = blocks.sums().tobytes()
+        stream.write(sums + _SUM.pack(zlib.crc32(sums, zlib.crc32(opening))))
     return index
 
 
@@ -127,6 +138,7 @@ def read_index(map_file: Path) -> PatternIndex | None:
     with named(path, InputError, "index of patterns"):
         if head["version"] != VERSION:
             return None
+        sums = _sums(path, begin, head["bytes"])
         kept = {
             str(name): {key: one[key] for key in ("size", "modified_ns", "sha256")}
             for name, one in head["map"].items()
@@ -134,7 +146,7 @@ def read_index(map_file: Path) -> PatternIndex | None:
     with named(map_file, InputError, "map"):
         if not is_of(kept, map_file):
             return None
-    return _arrays(path, head, begin)
+    return _arrays(path, head, begin, sums)
 
 
 def open_index(
@@ -178,7 +190,7 @@ def open_index(
 
 
 def _head(path: Path) -> tuple[Any, int]:
-    """The head of an index, and where its arrays begin."""
+    """The head of an index, and where its arrays begin; that of another version unchecked."""
     with named(path, InputError, "index of patterns"), path.open("rb") as stream:
         mark, length = stream.read(len(_MARK)), stream.read(_LENGTH.size)
         if mark != _MARK or len(length) != _LENGTH.size:
@@ -187,35 +199,70 @@ def _head(path: Path) -> tuple[Any, int]:
         text = stream.read(min(size, _LARGEST_HEAD))
         if len(text) != size:
             raise InputError(f"{path}: its head is cut off; {_REMEDY}")
-        head = parse_json(text.decode())
+        try:
+            head = parse_json(text.decode())
+        except (ParsingError, ValueError) as error:
+            raise InputError(f"{path}: its head is damaged ({error}); {_REMEDY}") from error
         wanted = {"version", "map", "frame", "arrays", "bytes", "tiles"}
         if not isinstance(head, dict) or not wanted <= set(head):
             raise InputError(f"{path}: its head lacks entries; {_REMEDY}")
         return head, stream.tell()
 
 
-def _arrays(path: Path, head: Any, begin: int) -> PatternIndex:
+def _arrays(path: Path, head: Any, begin: int, sums: NDArray[np.uint32]) -> PatternIndex:
     with named(path, InputError, "index of patterns"):
-        size = path.stat().st_size
-        if size != begin + head["bytes"]:
-            raise InputError(
-                f"{path}: has {size} bytes, its head tells of {begin + head['bytes']}; {_REMEDY}"
-            )
+        long = int(head["bytes"])
         arrays: dict[str, NDArray[Any]] = {}
+        places: dict[str, tuple[int, int]] = {}
         for name, dtype in _ARRAYS.items():
             shape = tuple(int(n) for n in head["arrays"][name]["shape"])
             offset = int(head["arrays"][name]["offset"])
-            long = math.prod(shape) * np.dtype(dtype).itemsize
-            if min(shape) < 0 or not 0 <= offset <= head["bytes"] - long:
+            size = math.prod(shape) * np.dtype(dtype).itemsize
+            if min(shape) < 0 or not 0 <= offset <= long - size:
                 raise InputError(f"{path}: its {name} lies outside the file; {_REMEDY}")
+            places[name] = offset, math.prod(shape[1:]) * np.dtype(dtype).itemsize
             arrays[name] = (
                 np.memmap(path, dtype, "r", begin + offset, shape)
-                if long
+                if size
                 else np.empty(shape, dtype)
             )
-        index = PatternIndex(frame=_frame(head, path), **arrays)
+        data = np.memmap(path, np.uint8, "r", begin, (long,)) if long else np.empty(0, np.uint8)
+        blocks = CheckedBlocks((str(path), _REMEDY), data, sums, places, _watch(path))
+        index = PatternIndex(frame=_frame(head, path), **arrays, blocks=blocks)
         _check(index, path)
         return index
+
+
+def _sums(path: Path, begin: int, long: Any) -> NDArray[np.uint32]:
+    """The checksums of the blocks, which stand behind so many bytes of arrays."""
+    if not isinstance(long, int):
+        raise InputError(f"{path}: its head is damaged (bytes {long!r}); {_REMEDY}")
+    count = -(-long // BLOCK)
+    expected = begin + long + count * _SUM.size + _SUM.size
+    size = path.stat().st_size
+    if size != expected:
+        raise InputError(f"{path}: has {size} bytes, its head tells of {expected}; {_REMEDY}")
+    with path.open("rb") as stream:
+        opening = stream.read(begin)
+        stream.seek(begin + long)
+        sums, last = stream.read(count * _SUM.size), stream.read()
+    if _SUM.pack(zlib.crc32(sums, zlib.crc32(opening))) != last:
+        raise InputError(f"{path}: its head or its checksums are damaged; {_REMEDY}")
+    return np.frombuffer(sums, "<u4")
+
+
+def _watch(path: Path) -> Callable[[], bool]:
+    """Says whether the bytes of the file that is open now are written over. A file that is
+    replaced by a rename, or deleted, stays what it was for those who have it open."""
+    file = os.open(path, os.O_RDONLY)
+    known = os.fstat(file)
+
+    def changed() -> bool:
+        now = os.fstat(file)
+        return (now.st_size, now.st_mtime_ns) != (known.st_size, known.st_mtime_ns)
+
+    weakref.finalize(changed, os.close, file)
+    return changed
 
 
 def _frame(head: Any, path: Path) -> EarthFrame:
@@ -247,6 +294,9 @@ def _old_tiles(path: Path) -> Any:
         if head["version"] != VERSION:
             return None
         with named(path, InputError, "index of patterns"):
-            return kept_tiles(_arrays(path, head, begin), head["tiles"])
+            index = _arrays(path, head, begin, _sums(path, begin, head["bytes"]))
+            assert index.blocks is not None
+            index.blocks.check_all()
+            return kept_tiles(index, head["tiles"])
     except InputError:
         return None  # what cannot be read costs no more than finding it again

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,18 @@ import pytest
 from polemap.drivelog.errors import InputError, OutputError
 from polemap.map.io import read_map, write_map
 from polemap.map.pattern_index.index import PatternIndex
-from polemap.map.pattern_index.io import index_file, open_index, read_index, write_index
+from polemap.map.pattern_index.io import (
+    _ARRAYS,
+    _head,
+    index_file,
+    open_index,
+    read_index,
+    write_index,
+)
+from polemap.map.pattern_index.triples import BITS
 from tests.pole_maps import plain_map
 
-ARRAYS = tuple(name for name in PatternIndex.__slots__ if name != "frame")
+ARRAYS = tuple(name for name in PatternIndex.__slots__ if name not in ("frame", "blocks"))
 POINTS = np.random.default_rng(3).uniform(0.0, 150.0, (80, 2))
 
 
@@ -85,14 +94,17 @@ def test_maps_without_triangles_keep_an_index(points: np.ndarray, tmp_path: Path
 
 
 def patched(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    """Write an index again with another head."""
+    """Write an index again with another head, and the checksum that belongs to it."""
     data = path.read_bytes()
     begin = len(b"polemap patterns\n")
     (size,) = struct.unpack_from("<Q", data, begin)
     head = json.loads(data[begin + 8 : begin + 8 + size])
     change(head)
     text = json.dumps(head).encode()
-    path.write_bytes(data[:begin] + struct.pack("<Q", len(text)) + text + data[begin + 8 + size :])
+    opening = data[:begin] + struct.pack("<Q", len(text)) + text
+    rest = data[begin + 8 + size : -4]
+    sums = rest[head["bytes"] :] if isinstance(head.get("bytes"), int) else b""
+    path.write_bytes(opening + rest + struct.pack("<I", zlib.crc32(sums, zlib.crc32(opening))))
 
 
 def cut(path: Path) -> None:
@@ -178,6 +190,96 @@ def test_a_damaged_index_is_one_line_and_is_built_anew(
     assert len(index) == len(POINTS)
     assert said[0].endswith("it is built now")
     assert reopened(indexed)[1] == []
+
+
+def asked_everywhere(index: PatternIndex | None) -> None:
+    """Use every number of an index."""
+    assert index is not None
+    index.within(np.full(2, 75.0), 200.0)
+    every = np.zeros((1, 3), dtype=np.int64)
+    index.hits(*index.ranges(every, every + 2**BITS - 1))
+    _ = index.sd_typical_m, index.widths_m(len(index))
+
+
+def test_any_flipped_bit_of_the_arrays_is_told_by_the_query_that_touches_it(indexed: Path) -> None:
+    path = index_file(indexed)
+    whole = path.read_bytes()
+    head, begin = _head(path)
+    asked_everywhere(reopened(indexed)[0])
+    for name, dtype in _ARRAYS.items():
+        array = head["arrays"][name]
+        size = np.prod(array["shape"]) * np.dtype(dtype).itemsize
+        for part in (0.0, 0.3, 0.99):
+            data = bytearray(whole)
+            data[begin + array["offset"] + int(part * size)] ^= 16
+            path.write_bytes(data)
+            with pytest.raises(InputError, match=r"town\.geojson\.patterns: .*delete it"):
+                asked_everywhere(read_index(indexed))
+
+
+def test_a_flipped_bit_of_head_or_checksums_is_told_at_opening(indexed: Path) -> None:
+    path = index_file(indexed)
+    whole = path.read_bytes()
+    head, begin = _head(path)
+    for at in (*range(20, begin, 41), begin + head["bytes"], len(whole) - 1):
+        data = bytearray(whole)
+        data[at] ^= 1
+        path.write_bytes(data)
+        said: list[str] = []
+        open_index(indexed, lambda: read_map(indexed), say=said.append)
+        assert len(said) == 1, at  # damaged, of another version, or of another map
+        assert said[0].startswith(f"{path}: ")
+        assert said[0].endswith("it is built now")
+
+
+def test_of_a_damaged_index_no_tile_is_kept(indexed: Path) -> None:
+    path = index_file(indexed)
+    whole = path.read_bytes()
+    head, begin = _head(path)
+    data = bytearray(whole)
+    data[begin + head["arrays"]["direction"]["offset"]] ^= 64
+    path.write_bytes(data)
+    write_index(read_map(indexed), indexed)
+    assert path.read_bytes()[begin:-4] == whole[begin:-4]
+
+
+def test_only_the_blocks_that_are_touched_are_checked(tmp_path: Path) -> None:
+    file = tmp_path / "town.geojson"
+    points = np.random.default_rng(4).uniform(0.0, 3000.0, (9000, 2))
+    write_map(plain_map(points), file)
+    index = write_index(read_map(file), file)
+    path = index_file(file)
+    head, begin = _head(path)
+    data = bytearray(path.read_bytes())
+    data[begin + head["arrays"]["points_m"]["offset"] + 6000 * 16 + 3] ^= 1
+    path.write_bytes(data)
+    opened = read_index(file)
+    assert opened is not None
+    near, far = index.points_m[0], index.points_m[6000]
+    assert len(opened.within(near, 20.0))
+    with pytest.raises(InputError, match="block 1 of"):
+        opened.within(far, 20.0)
+
+
+@pytest.mark.parametrize("write_over", [lambda path: path.write_bytes(b""), cut, longer])
+def test_an_index_that_is_written_over_while_it_is_open_is_told(
+    indexed: Path, write_over: Callable[[Path], None]
+) -> None:
+    index = read_index(indexed)
+    assert index is not None
+    write_over(index_file(indexed))
+    with pytest.raises(InputError, match=r"\.patterns: it was written over while it was in use"):
+        index.within(np.full(2, 75.0), 50.0)
+
+
+@pytest.mark.parametrize("put", [os.unlink, lambda path: write_index(plain_map(POINTS), path)])
+def test_an_index_that_is_replaced_or_deleted_stays_open(
+    indexed: Path, put: Callable[[Path], None]
+) -> None:
+    index = read_index(indexed)
+    assert index is not None
+    put(index_file(indexed) if put is os.unlink else indexed)
+    asked_everywhere(index)
 
 
 def test_an_index_of_another_version_is_not_used(indexed: Path) -> None:
