@@ -6,14 +6,17 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.parsing.csv_text import check_csv
 from polemap.parsing.errors import named
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 
@@ -141,6 +144,8 @@ def largest(name: str) -> float:
 
 
 def _read_text(path: Path, rows: int | None = None) -> pd.DataFrame:
+    import pandas as pd  # slow to import, and many commands read no table
+
     try:
         with warnings.catch_warnings():
             # rows longer than the header are refused, by line, in `_check_width`

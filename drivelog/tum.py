@@ -7,8 +7,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError
@@ -98,7 +98,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
 def spatial_tum_text(stamps_s: Floats, poses: Floats) -> str:
     """Rigid poses `(n, 4, 4)` as TUM lines in full precision."""
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     table = np.column_stack([stamps_s, poses[:, :3, 3], quaternions])
     return "".join(" ".join(map(shortest, row)) + "\n" for row in table.tolist())
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import ConfigError, InputError
@@ -24,6 +23,9 @@ from polemap.parsing.json_text import parse_json
 from polemap.parsing.text import decoded
 from polemap.parsing.yaml_text import read_yaml
 from polemap.vehicle.errors import VehicleError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 KNOWN = ("stamp_s", *INPUT_COLUMNS, *CAMERA_SPREAD_COLUMNS, *REFERENCE_COLUMNS)
@@ -80,6 +82,8 @@ def read_mapping(path: Path) -> dict[str, tuple[str, float]]:
 
 
 def _read_table(path: Path) -> pd.DataFrame:
+    import pandas as pd  # slow to import
+
     if not path.exists():
         raise InputError(f"{path}: no such file")
     try:
@@ -103,6 +107,8 @@ def _read_mcap(path: Path) -> pd.DataFrame:
 
     Fields of known names keep them. The stamp is the message's own `stamp_s`, else its log time.
     """
+    import pandas as pd
+
     rows = []
     with path.open("rb") as stream:
         for _schema, channel, message in need("mcap.reader").make_reader(stream).iter_messages():
@@ -124,6 +130,8 @@ def _read_mcap(path: Path) -> pd.DataFrame:
 def _renamed(
     table: pd.DataFrame, mapping: dict[str, tuple[str, float]], path: Path
 ) -> pd.DataFrame:
+    import pandas as pd
+
     taken = {column for column, _ in mapping.values()}
     result = table[[c for c in table.columns if c not in taken and c not in mapping]].copy()
     for name, (column, scale) in mapping.items():
@@ -135,6 +143,8 @@ def _renamed(
 
 
 def _numbers(column: pd.Series[Any], name: str, path: Path) -> Floats:
+    import pandas as pd
+
     numbers = pd.to_numeric(column, errors="coerce")
     wrong = numbers.isna() & column.notna()
     if wrong.any():  # text is looked at only where something is not a number: long logs are slow

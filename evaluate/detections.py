@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import Ground
@@ -249,7 +249,9 @@ def match(
     if not len(one_m) or not len(two_m):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     gap = np.hypot(*np.moveaxis(one_m[:, None] - two_m, 2, 0))
-    rows, columns = linear_sum_assignment(np.where(gap <= radius_m, gap, 100.0 * radius_m))
+    rows, columns = scipy.optimize.linear_sum_assignment(
+        np.where(gap <= radius_m, gap, 100.0 * radius_m)
+    )
     good = gap[rows, columns] <= radius_m
     return rows[good].astype(np.int64), columns[good].astype(np.int64)
 

@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from polemap.drivelog.errors import ConfigError
 from polemap.evaluation.laps import Stretch
@@ -171,7 +171,7 @@ def evasive_manoeuvres(stretch: Stretch, judged: Sequence[Crossing]) -> list[Exc
     steered[:, usable] = slope[:, usable] - np.nanmedian(slope[:, usable], axis=0)
     # A drifting reference moves a whole pass slowly: that is no manoeuvre.
     window = 2 * int(DRIFT_WINDOW_M / 2 / STATION_STEP_M) + 1
-    drift = median_filter(np.nan_to_num(swerve), size=(1, window), mode="nearest")
+    drift = scipy.ndimage.median_filter(np.nan_to_num(swerve), size=(1, window), mode="nearest")
     swerve -= drift
     spread = 1.4826 * float(np.nanmedian(np.abs(swerve)))
     limit = max(EVASIVE_FLOOR_M, EVASIVE_SDS * spread)

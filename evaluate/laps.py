@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.evaluation.meanpath import MeanPath, mean_path
 from polemap.vehicle.pose import wrap_angle
@@ -90,7 +90,7 @@ def road_length_m(tracks: Sequence[Trajectory]) -> float:
     track = _resampled(tracks)
     if len(track.stamp_s) == 0:
         return 0.0
-    tree = KDTree(track.points_m)
+    tree = scipy.spatial.KDTree(track.points_m)
     fresh = 0
     for i, near in enumerate(tree.query_ball_point(track.points_m, SAME_ROAD_M)):
         earlier = np.asarray(near, dtype=np.int64)
@@ -108,12 +108,12 @@ def _from_named(tracks: Sequence[Trajectory], named: Sequence[Span]) -> Stretch 
         return None
     lengths = [_length(parts[i]) for i in keep]
     middle = keep[int(np.argsort(lengths)[len(lengths) // 2])]
-    course = KDTree(_resampled([parts[middle]]).points_m)
+    course = scipy.spatial.KDTree(_resampled([parts[middle]]).points_m)
     alike = []
     for i in keep:
         points = _resampled([parts[i]]).points_m
         there = course.query(points, distance_upper_bound=SAME_ROAD_M)[0]
-        back = KDTree(points).query(course.data, distance_upper_bound=SAME_ROAD_M)[0]
+        back = scipy.spatial.KDTree(points).query(course.data, distance_upper_bound=SAME_ROAD_M)[0]
         if min(np.isfinite(there).mean(), np.isfinite(back).mean()) >= 0.8:
             alike.append(i)
     if len(alike) < 2:
@@ -139,7 +139,7 @@ def _from_tracks(tracks: Sequence[Trajectory]) -> list[Stretch]:
 
 def _homes(track: _Track) -> NDArray[np.int64]:
     """For every point the first-driven point of the same place and direction, `(n,)`."""
-    tree = KDTree(track.points_m)
+    tree = scipy.spatial.KDTree(track.points_m)
     home = np.arange(len(track.points_m))
     is_new = np.ones(len(home), dtype=bool)
     for i, near in enumerate(tree.query_ball_point(track.points_m, SAME_ROAD_M)):

@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from polemap.detect.config import DetectionConfig
 from polemap.detect.constants import ACROSS_SD_M, AXIS_SD_SHARE, COLUMN_SD_PX, DISPARITY_SD_PX
@@ -92,7 +92,7 @@ def scans_sensor(scans: tuple[Detections, ...], p_detection: float) -> SensorMod
         stated = np.einsum("ni,nij,nj->n", direction, covariance, direction)
         # relative to each value, or the far ones would decide alone
         terms = np.stack([np.ones_like(growth), growth**2], axis=1) / stated[:, None]
-        constant, growing = np.sqrt(nnls(terms, np.ones(len(terms)))[0])
+        constant, growing = np.sqrt(scipy.optimize.nnls(terms, np.ones(len(terms)))[0])
         return float(constant), float(growing)
 
     return SensorModel(view, p_detection, *parts(ray, distance**2), *parts(side, distance))

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
 
 from polemap.vehicle.trajectory import Trajectory
 
@@ -33,7 +32,7 @@ class MeanPath:
 
     station_m: Floats
     points_m: Floats
-    _spline: CubicSpline
+    _spline: scipy.interpolate.CubicSpline
 
     @staticmethod
     def through(points_m: Floats, step_m: float = STATION_STEP_M) -> MeanPath:
@@ -42,7 +41,7 @@ class MeanPath:
         keep = np.concatenate([[True], np.diff(distance) > 1e-9])
         distance, points_m = distance[keep], points_m[keep]
         if len(points_m) >= 3:
-            curve = CubicSpline(distance, points_m, axis=0)
+            curve = scipy.interpolate.CubicSpline(distance, points_m, axis=0)
             fine = np.linspace(0.0, distance[-1], max(4 * len(points_m), 16))
             samples = np.asarray(curve(fine))
         else:
@@ -51,7 +50,7 @@ class MeanPath:
         count = max(round(length[-1] / step_m), 3)
         station = np.linspace(0.0, length[-1], count + 1)
         points = np.column_stack([np.interp(station, length, samples[:, i]) for i in (0, 1)])
-        return MeanPath(station, points, CubicSpline(station, points, axis=0))
+        return MeanPath(station, points, scipy.interpolate.CubicSpline(station, points, axis=0))
 
     @property
     def length_m(self) -> float:
@@ -150,7 +149,7 @@ def mean_path(passes: Sequence[Trajectory], rounds: int = 2) -> MeanPath:
             break
         shift = np.zeros(len(path.station_m))
         shift[known] = np.nanmedian(deviations[:, known], axis=0)
-        shift = gaussian_filter1d(shift, SMOOTHING_M / STATION_STEP_M, mode="nearest")
+        shift = scipy.ndimage.gaussian_filter1d(shift, SMOOTHING_M / STATION_STEP_M, mode="nearest")
         _, tangent, _ = path.at(path.station_m)
         normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
         normal /= np.hypot(normal[:, 0], normal[:, 1])[:, None]
@@ -176,7 +175,7 @@ def smooth_line(points_m: Floats, smoothing_m: float = SMOOTHING_M) -> Floats:
     # Odd reflection about the ends keeps the ends and their direction.
     width = min(int(4 * smoothing_m / STATION_STEP_M), count)
     padded = np.pad(line, ((width, width), (0, 0)), mode="reflect", reflect_type="odd")
-    smooth = gaussian_filter1d(padded, smoothing_m / STATION_STEP_M, axis=0)
+    smooth = scipy.ndimage.gaussian_filter1d(padded, smoothing_m / STATION_STEP_M, axis=0)
     return np.asarray(smooth[width : width + count + 1])
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.drivelog.drive import Drive
 from polemap.evaluation.exclusions import START_UP_S
@@ -133,8 +133,12 @@ def _belong_together(a: Recording, b: Recording) -> bool:
     if a.drive is not None and b.drive is not None and a.drive.frame != b.drive.frame:
         return False
     first, second = (one.guide.thinned(2.0).poses[:, :2] for one in (a, b))
-    there = np.isfinite(KDTree(first).query(second, distance_upper_bound=SAME_ROAD_M)[0])
-    back = np.isfinite(KDTree(second).query(first, distance_upper_bound=SAME_ROAD_M)[0])
+    there = np.isfinite(
+        scipy.spatial.KDTree(first).query(second, distance_upper_bound=SAME_ROAD_M)[0]
+    )
+    back = np.isfinite(
+        scipy.spatial.KDTree(second).query(first, distance_upper_bound=SAME_ROAD_M)[0]
+    )
     return bool(min(there.mean(), back.mean()) >= SHARED_ROAD)
 
 

@@ -9,6 +9,7 @@ from threading import Lock
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
@@ -23,6 +24,7 @@ from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.output_filter.health import distrust, fixes_disagree
 from polemap.localize.output_filter.limiter import OutputLimiter, OutputPose
 from polemap.localize.output_filter.state import NEVER
+from polemap.localize.particle_filter.assignment import HAVE_KERNEL
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
 from polemap.localize.pose_queue import PoseQueue, PoseUpdate, count_dropped
@@ -86,6 +88,9 @@ class Localizer:
         antenna = (0.0, 0.0) if gnss_antenna_m is None else tuple(map(float, gnss_antenna_m))
         receiver = GnssReceiver((antenna[0], antenna[1]), config.gnss)
         self._frame = None if pole_map is None else pole_map.frame
+        if pole_map is not None:
+            # scipy loads its parts when they are first used: here, so that no scan waits for it
+            _ = scipy.spatial if HAVE_KERNEL else (scipy.spatial, scipy.optimize)
         self._particle_filter = (
             ParticleFilter(
                 pole_map,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from polemap.simulate.dynamics import CAR, follow
 from polemap.simulate.route import Route
@@ -75,7 +75,9 @@ def drive_route(route: Route, spec: DriveSpec, laps: int, rng: np.random.Generat
     speed = _speed(route, way, margin, stops, spec, rng)
     time, at = _schedule(driven, speed, stops, spec)
     stamps = np.arange(0.0, time[-1], STEP_S)
-    travelled = gaussian_filter1d(np.interp(stamps, time, at), _SOFTEN_S / STEP_S, mode="nearest")
+    travelled = scipy.ndimage.gaussian_filter1d(
+        np.interp(stamps, time, at), _SOFTEN_S / STEP_S, mode="nearest"
+    )
     line = route.at(way.station_m + margin, way.lateral_m + wander)[:, :2]
     ride = follow(line, GRID_M, travelled, STEP_S, CAR)
     station = np.interp(travelled, driven, way.station_m) + margin
@@ -104,14 +106,16 @@ def _wander(
 ) -> Floats:
     """Smooth straying from the lane's middle, of another strength in every lap, plus evasions."""
     noise = rng.standard_normal(len(driven))
-    smooth = 0.8 * _unit(gaussian_filter1d(noise, 11.0 / GRID_M, mode="nearest"))
+    smooth = 0.8 * _unit(scipy.ndimage.gaussian_filter1d(noise, 11.0 / GRID_M, mode="nearest"))
     smooth += 0.6 * _unit(
-        gaussian_filter1d(rng.standard_normal(len(driven)), 35.0 / GRID_M, mode="nearest")
+        scipy.ndimage.gaussian_filter1d(
+            rng.standard_normal(len(driven)), 35.0 / GRID_M, mode="nearest"
+        )
     )
     lap = np.searchsorted(way.lap_starts_m, driven, side="right") - 1
     strength = rng.uniform(*spec.wander_sd_m, laps)[np.minimum(lap, laps - 1)]
     smooth = 2.5 * np.tanh(smooth / 2.5)
-    wander = smooth * gaussian_filter1d(strength, 8.0 / GRID_M, mode="nearest")
+    wander = smooth * scipy.ndimage.gaussian_filter1d(strength, 8.0 / GRID_M, mode="nearest")
     for _ in range(int(rng.poisson(spec.evasions * laps))):
         middle, width = rng.uniform(25.0, max(26.0, driven[-1] - 25.0)), rng.uniform(6.0, 9.0)
         bulge = np.exp(-0.5 * ((driven - middle) / width) ** 2)
@@ -134,7 +138,9 @@ def _speed(
     """Speed over the way: limit, bends, stops, and what the car can gain or shed."""
     station = way.driven_m
     bend = np.abs(route.curvature_at(way.station_m + margin)) + way.bend_1pm
-    mood = 1 + 0.08 * _unit(gaussian_filter1d(rng.standard_normal(len(station)), 60.0 / GRID_M))
+    mood = 1 + 0.08 * _unit(
+        scipy.ndimage.gaussian_filter1d(rng.standard_normal(len(station)), 60.0 / GRID_M)
+    )
     limit = np.minimum(
         spec.speed_mps * mood, np.sqrt(spec.lateral_acceleration_mps2 / np.maximum(bend, 1e-4))
     )

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from polemap.drivelog.errors import ConfigError
 from polemap.vehicle.pose import move_reference_point, rotate
@@ -118,7 +118,7 @@ def _resample(path: Floats, closed: bool) -> Route:
     station = np.linspace(0.0, length[-1], count, endpoint=not closed)
     raw = np.stack([np.interp(station, length, path[:, k]) for k in (0, 1)], axis=1)
     mode: Literal["wrap", "nearest"] = "wrap" if closed else "nearest"
-    smooth = gaussian_filter1d(raw, 2.5 / _STEP_M, axis=0, mode=mode)
+    smooth = scipy.ndimage.gaussian_filter1d(raw, 2.5 / _STEP_M, axis=0, mode=mode)
     if not closed:
         smooth = _keep_ends(raw, smooth)
     # once more at equal steps: smoothing shortens the arcs

@@ -9,10 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from polemap.drivelog.atomic import atomic_file, own_folder
-from polemap.tools import localize, simulate
-from polemap.tools import map as pole_maps
+from polemap.extras import check_installed
 from polemap.tools.option_types import ConfigOption, SeedOption, SetOption
-from polemap.tools.report import command as report
 
 WORLD = "park_loop"
 MAP_LAP = "lap_1"
@@ -62,11 +60,18 @@ def command(
     GNSS. The map comes from lap 1; laps 2 and 3 are localized in it and held against the truth.
     Every step is a command that you can run on your own drives, and is shown before it runs.
     """
+    # together slow to import
+    from polemap.tools import localize, simulate
+    from polemap.tools import map as pole_maps
+    from polemap.tools.report import command as report
+
     drive, pole_map, page = out / "drive", out / "map.gpkg", out / "report"
     runs = [out / lap for lap in TEST_LAPS]
     shared: dict[str, Any] = {"seed": seed, "config": config, "set_values": set_values}
     begin = time.monotonic()
 
+    for module in ("matplotlib", "jinja2", "open3d"):
+        check_installed(module)
     own_folder(out, "demo", [drive, pole_map, page, out / README, *runs])
     laps = 1 + len(TEST_LAPS)
     _show(f"simulate {WORLD} --out {drive} --laps {laps} --objects", seed)

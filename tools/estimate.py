@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import pandas as pd
 import typer
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -314,6 +313,8 @@ def score(
 
 def write_estimates(played: Played, out: Path) -> None:
     """The estimates as CSV, every field followed by its standard deviation."""
+    import pandas as pd  # slow to import
+
     columns: dict[str, Floats] = {"stamp_s": played.stamp_s}
     for name in played.fields:
         stem, _, unit = name.rpartition("_")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-import pandas as pd
 import typer
 from numpy.typing import NDArray
 
@@ -33,6 +32,9 @@ from polemap.tools.plausible import find
 from polemap.tools.progress import progress
 from polemap.vehicle.io import load_car
 from polemap.vehicle.parameters import Car
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 SIGNALS, TRUTH = "signals.csv", "lane_truth.csv"
@@ -160,6 +162,8 @@ def _follow(
 
 def write_signal_log(log: SignalLog, out: Path) -> None:
     """A signal log as CSV; what was not sampled is an empty cell."""
+    import pandas as pd  # slow to import
+
     with atomic_file(out) as part:
         table = pd.DataFrame({"stamp_s": log.stamp_s, **log.columns})
         table.to_csv(part, index=False, float_format="%.9g")
@@ -188,6 +192,8 @@ def score(drive: Drive, track: LaneTrack, preview_m: float) -> list[str]:
     path = drive.path / TRUTH
     if not path.is_file():
         return []
+    import pandas as pd
+
     truth = pd.read_csv(path)
     wanted = {"stamp_s", "preview_m", *NAMES}
     if not wanted <= set(truth.columns) or not len(truth):

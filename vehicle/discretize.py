@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
 
 from polemap.vehicle.errors import VehicleError
 
@@ -31,7 +31,7 @@ def zero_order_hold(a: Floats, b: Floats, period_s: float) -> tuple[Floats, Floa
     block = np.zeros((n + m, n + m))
     block[:n, :n] = a
     block[:n, n:] = b
-    exponential = expm(block * period_s)
+    exponential = scipy.linalg.expm(block * period_s)
     return exponential[:n, :n].copy(), exponential[:n, n:].copy()
 
 
@@ -78,7 +78,7 @@ def van_loan(a: Floats, density: Floats, period_s: float) -> tuple[Floats, Float
     block[:n, :n] = -a
     block[:n, n:] = density
     block[n:, n:] = a.T
-    exponential = expm(block * period_s)
+    exponential = scipy.linalg.expm(block * period_s)
     transition = exponential[n:, n:].T.copy()
     noise = transition @ exponential[:n, n:]
     return transition, 0.5 * (noise + noise.T)

@@ -9,8 +9,8 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.pose import wrap_angle
@@ -101,7 +101,7 @@ def chi_square_quantile(probability: float, dof: float) -> float:
 
     It is `scipy.stats.chi2.ppf` without the second that importing `scipy.stats` takes.
     """
-    return float(2.0 * gammaincinv(0.5 * dof, probability))
+    return float(2.0 * scipy.special.gammaincinv(0.5 * dof, probability))
 
 
 def symmetric(matrix: Floats) -> Floats:

@@ -11,8 +11,8 @@ from functools import lru_cache
 from math import cos, log, sin
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
 
 from polemap.vehicle.discretize import van_loan, zero_order_hold
 from polemap.vehicle.errors import VehicleError
@@ -236,10 +236,10 @@ class Schedule:
         a, b = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
         block = np.zeros((k, n + m, n + m))
         block[:, :n, :n], block[:, :n, n:] = a, b
-        held = expm(block * self.period_s)
+        held = scipy.linalg.expm(block * self.period_s)
         loan = np.zeros((k, 2 * n, 2 * n))
         loan[:, :n, :n], loan[:, :n, n:], loan[:, n:, n:] = -a, self._density, a.transpose(0, 2, 1)
-        e = expm(loan * self.period_s)
+        e = scipy.linalg.expm(loan * self.period_s)
         q = e[:, n:, n:].transpose(0, 2, 1) @ e[:, :n, n:]
         q = 0.5 * (q + q.transpose(0, 2, 1))
         parts = (held[:, :n, :n], held[:, :n, n:], q)

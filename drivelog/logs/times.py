@@ -12,7 +12,6 @@ from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
@@ -214,6 +213,8 @@ def _check_one_offset(offsets: set[timedelta | None], text: str, line: int) -> N
 
 def _formatted(form: str, zone: tzinfo | None, day: date | None, missing: frozenset[str]) -> Texts:
     """Texts of a `strptime` format; without a date in it, the day of the first row counts on."""
+    import pandas as pd  # slow to import, and most logs count seconds
+
     dated = any(mark in form for mark in ("%d", "%j", "%x", "%c"))
     if not dated and day is None:
         raise InputError(f"format '{form}' has no day; add `date: 2024-05-31` (of the first row)")

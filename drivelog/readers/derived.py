@@ -8,8 +8,8 @@ drawn; GNSS 2.5 m an axis, correlated over 60 s (first-order Gauss-Markov).
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from polemap.drivelog.streams import GnssStream, OdometryStream
 from polemap.vehicle.pose import rotate_back
@@ -43,7 +43,9 @@ def _grid(stamps: Floats, rate_hz: float) -> Floats:
 
 def derived_odometry(stamps_s: Floats, poses: Floats, rng: np.random.Generator) -> OdometryStream:
     """Rear-axle speed and yaw rate at 50 Hz from poses `(n, 3)` at `(n,)` stamps, n >= 4."""
-    spline = CubicSpline(stamps_s, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+    spline = scipy.interpolate.CubicSpline(
+        stamps_s, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    )
     times = np.append(_grid(stamps_s, ODOMETRY_HZ), stamps_s[-1])
     times = np.unique(times)
     yaw = spline(times)[:, 2]

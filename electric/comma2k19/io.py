@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from polemap.drivelog.errors import InputError
 from polemap.electric.signals import SignalLog
@@ -77,7 +76,7 @@ def read_comma2k19(folder: Path, steering_ratio: float) -> Segment:
     reference_stamps, velocity = _in_camera(*tables["reference"])
     yaw, pitch, until = _mount(reference_stamps, velocity, folder)
     # camera axes are forward, right, down; undo the mount, then turn to forward, left, up
-    to_car = Rotation.from_euler("YZ", [pitch, yaw]).inv()
+    to_car = scipy.spatial.transform.Rotation.from_euler("YZ", [pitch, yaw]).inv()
     flip = np.array([1.0, -1.0, -1.0])
     force = to_car.apply(force) * flip
     gyro = to_car.apply(_sampled(stamps, *tables["gyro"])) * flip
@@ -102,6 +101,8 @@ def read_comma2k19(folder: Path, steering_ratio: float) -> Segment:
 
 def _read(path: Path, names: tuple[str, ...]) -> tuple[Floats, Floats]:
     """Stamps `(n,)` and the columns `(n, k)`."""
+    import pandas as pd  # slow to import
+
     if not path.is_file():
         raise InputError(f"{path}: no such file; a comma2k19 segment has it")
     try:
@@ -135,7 +136,7 @@ def _in_camera(stamps: Floats, values: Floats) -> tuple[Floats, Floats]:
     The quaternion turns camera axes to ECEF as scipy applies it (the data set calls it the one
     from ECEF to the camera, counting the turn of the axes): only so the car goes forward.
     """
-    turn = Rotation.from_quat(values[:, [4, 5, 6, 3]])
+    turn = scipy.spatial.transform.Rotation.from_quat(values[:, [4, 5, 6, 3]])
     return stamps, np.asarray(turn.inv().apply(values[:, :3]))
 
 

@@ -11,8 +11,8 @@ from functools import lru_cache
 from math import log
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are
 
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import (
@@ -53,7 +53,7 @@ def steady_gain(
             frames * config.lateral_offset_sd_m**2,
         ]
     )
-    prior = solve_discrete_are(transition.T, ALL_ROWS.T, noise, r)
+    prior = scipy.linalg.solve_discrete_are(transition.T, ALL_ROWS.T, noise, r)
     gain = np.linalg.solve(ALL_ROWS @ prior @ ALL_ROWS.T + r, ALL_ROWS @ prior).T
     return gain, symmetric((np.eye(4) - gain @ ALL_ROWS) @ prior)
 

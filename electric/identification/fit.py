@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from polemap.electric.identification.parameters import (
     LINEAR_PARAMETERS,
@@ -267,7 +267,7 @@ def _solve(
     def jacobian(units: Floats) -> Floats:
         return np.vstack([slopes(units), np.eye(len(units))])
 
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         residual, np.clip(start, low, high), jac=jacobian, bounds=(low, high),
         xtol=1e-4, ftol=1e-5, max_nfev=25,
     )  # fmt: skip

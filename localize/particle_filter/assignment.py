@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 try:
     from polemap.localize.particle_filter.native import assignment_kernel
@@ -83,7 +83,7 @@ def _assign_scipy(costs: Floats, unassigned: Floats) -> tuple[Floats, Ints]:
         if np.isnan(padded).any() or np.isneginf(padded).any():
             raise ValueError(f"problem {b} has a cost that is NaN or minus infinity")
         try:
-            row, column = linear_sum_assignment(padded)
+            row, column = scipy.optimize.linear_sum_assignment(padded)
         except ValueError as error:
             raise ValueError(f"problem {b} has no assignment of finite cost") from error
         totals[b] = padded[row, column].sum()

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.localize.particle_filter.recent_poles import REMEMBERED_M
 from polemap.map.pole_map import PoleMap
@@ -92,7 +92,7 @@ class ConstellationIndex:
         if len(rows) < 2:
             self._pairs, self._length = np.empty((0, 2), dtype=np.int64), np.empty(0)
             return
-        tree = KDTree(self._points[rows])
+        tree = scipy.spatial.KDTree(self._points[rows])
         pairs = rows[tree.query_pairs(_PAIR_LONGEST_M, output_type="ndarray")]
         length = np.hypot(*(self._points[pairs[:, 0]] - self._points[pairs[:, 1]]).T)
         order = np.argsort(length, kind="stable")

@@ -8,8 +8,8 @@ says so. A row of bollards is none: there each pole has a neighbour on either si
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.map.pole_map import PoleMap
 
@@ -50,7 +50,7 @@ def twin_offset(points_m: Floats) -> Floats:
     """The offset `(2,)` at which most of the poles `(n, 2)` have a single neighbour, or zero."""
     if len(points_m) < _LEAST_POLES:
         return np.zeros(2)
-    pairs = KDTree(points_m).query_pairs(_FARTHEST_M, output_type="ndarray")
+    pairs = scipy.spatial.KDTree(points_m).query_pairs(_FARTHEST_M, output_type="ndarray")
     offsets = points_m[pairs[:, 1]] - points_m[pairs[:, 0]]
     wide = np.hypot(*offsets.T) >= _NEAREST_M
     pairs, offsets = pairs[wide], offsets[wide]

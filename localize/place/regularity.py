@@ -11,8 +11,8 @@ from __future__ import annotations
 from itertools import combinations_with_replacement
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def chance_density(points_m: Floats, density_per_m2: float) -> Floats:
     n = len(points_m)
     if n < 3:
         return np.full(n, density_per_m2)
-    distance, rows = KDTree(points_m).query(points_m, k=min(_NEIGHBOURS + 1, n))
+    distance, rows = scipy.spatial.KDTree(points_m).query(points_m, k=min(_NEIGHBOURS + 1, n))
     near, known = np.asarray(rows)[:, 1:], np.asarray(distance)[:, 1:] <= _REACH_M
     triples = np.array(
         [

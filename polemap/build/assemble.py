@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.build.city.tiles import Run, here, merge_tiles
 from polemap.build.config import MappingConfig
@@ -149,7 +149,11 @@ def _cannot_link_of_map(old: OldMap, stood: NDArray[np.bool_]) -> Whole:
     """Neighbouring traversals that the old map held to be two standing poles stay two."""
     if not len(old.pole):
         return np.empty((0, 2), dtype=np.int64)
-    pairs = KDTree(old.landmarks.points_m).query_pairs(2.0, output_type="ndarray").reshape(-1, 2)
+    pairs = (
+        scipy.spatial.KDTree(old.landmarks.points_m)
+        .query_pairs(2.0, output_type="ndarray")
+        .reshape(-1, 2)
+    )
     pairs = np.sort(pairs, axis=1)
     first, second = old.pole[pairs[:, 0]], old.pole[pairs[:, 1]]
     return np.asarray(pairs[(first != second) & stood[first] & stood[second]], dtype=np.int64)

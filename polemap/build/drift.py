@@ -18,9 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csc_matrix
-from scipy.sparse.linalg import splu
 
 from polemap.build.config import MappingConfig
 from polemap.build.constants import DISPARITY_TRAVERSAL_SD_PX, DRIFT_LEAST_M, TRAVERSAL_GAP_S
@@ -203,7 +202,7 @@ def _disagreement(traversals: _Traversals, config: MappingConfig, between: bool)
     return shared_sd(offset, own, 2.0) / float(np.sqrt(2.0))
 
 
-def _prior(knots: Sequence[Floats], config: MappingConfig) -> csc_matrix:
+def _prior(knots: Sequence[Floats], config: MappingConfig) -> scipy.sparse.csc_matrix:
     """Information of a stationary Gauss-Markov process for each drive, block by block."""
     variance = config.drift_sd_m**2
     step = 2.0 * variance * KNOT_S / _DRIFT_TIME_S
@@ -221,12 +220,18 @@ def _prior(knots: Sequence[Floats], config: MappingConfig) -> csc_matrix:
     value = np.concatenate([main, -linked / step, -linked / step])
     row = np.concatenate([rows, beside, beside + 1])
     column = np.concatenate([rows, beside + 1, beside])
-    return csc_matrix(coo_matrix((value, (row, column)), shape=(total, total)))
+    return scipy.sparse.csc_matrix(
+        scipy.sparse.coo_matrix((value, (row, column)), shape=(total, total))
+    )
 
 
 def _solve(
-    traversals: _Traversals, pairs: Whole, move: Floats, prior: csc_matrix, radius_m: float
-) -> tuple[Floats, csc_matrix]:
+    traversals: _Traversals,
+    pairs: Whole,
+    move: Floats,
+    prior: scipy.sparse.csc_matrix,
+    radius_m: float,
+) -> tuple[Floats, scipy.sparse.csc_matrix]:
     """Corrections `(knots, 2)` from the pairs, and their information."""
     first, second = pairs[:, 0], pairs[:, 1]
     points = traversals.points_m + _moves(traversals, move)
@@ -243,19 +248,23 @@ def _solve(
             column.append(traversals.knot[side, end][known])
             value.append(sign * traversals.share[side, end][known])
     shape = (len(pairs), prior.shape[0])
-    design = csc_matrix(
-        coo_matrix((np.concatenate(value), (np.concatenate(at), np.concatenate(column))), shape)
+    design = scipy.sparse.csc_matrix(
+        scipy.sparse.coo_matrix(
+            (np.concatenate(value), (np.concatenate(at), np.concatenate(column))), shape
+        )
     )
     wanted = traversals.points_m[second] - traversals.points_m[first]
     weighted = design.multiply(weight[:, None])
-    information = csc_matrix(design.T @ weighted + prior)
+    information = scipy.sparse.csc_matrix(design.T @ weighted + prior)
     right = design.T @ (weight[:, None] * wanted)
-    return np.asarray(splu(information).solve(right), dtype=np.float64), information
+    return np.asarray(
+        scipy.sparse.linalg.splu(information).solve(right), dtype=np.float64
+    ), information
 
 
-def _posterior_sd(information: csc_matrix, config: MappingConfig) -> Floats:
+def _posterior_sd(information: scipy.sparse.csc_matrix, config: MappingConfig) -> Floats:
     n = information.shape[0]
     if n > _EXACT_KNOTS:
         return np.full(n, config.drift_sd_m)
-    inverse = splu(information).solve(np.eye(n))
+    inverse = scipy.sparse.linalg.splu(information).solve(np.eye(n))
     return np.sqrt(np.maximum(np.diagonal(inverse), 0.0))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.build.existence import Evidence, existence
 from polemap.build.history import OldMap
@@ -48,7 +48,7 @@ def earlier_drives(
     fresh = np.setdiff1d(np.arange(n), successors[:, 1])
     beside, row = fresh[:0], fresh[:0]
     if len(fresh) and len(cluster) and old.evidence:
-        distance, nearest = KDTree(old.landmarks.points_m).query(points_m[fresh])
+        distance, nearest = scipy.spatial.KDTree(old.landmarks.points_m).query(points_m[fresh])
         near = np.asarray(distance) <= _NEIGHBOUR_M
         beside, row = fresh[near], old.pole[np.asarray(nearest)[near]]
     said = None

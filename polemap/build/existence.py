@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
-from scipy.special import betaln
 
 from polemap.build.constants import (
     DRIVE_LOG_ODDS_MAX,
@@ -81,7 +80,7 @@ def count_scans(
         rows = owner[owner >= 0]
         np.add.at(seen, (rows, _bin(detections.range_m[owner >= 0])), 1)
         return seen, seen.copy()
-    tree = KDTree(points_m)
+    tree = scipy.spatial.KDTree(points_m)
     hits = np.unique(detections.scan[owner >= 0] * n + owner[owner >= 0])
     for start in range(0, len(views), _BATCH):
         batch = np.arange(start, min(start + _BATCH, len(views)))
@@ -193,7 +192,7 @@ def drive_log_odds(
         share = np.minimum(1.0, _MEMORY / np.maximum(before.expected, 1e-9)) * (before.detected > 0)
         a, b = a + share * before.detected, b + share * (before.expected - before.detected)
     false, missed = FALSE_ALARM_PROBABILITY, drive.expected - drive.detected
-    stands = betaln(a + drive.detected, b + missed) - betaln(a, b)
+    stands = scipy.special.betaln(a + drive.detected, b + missed) - scipy.special.betaln(a, b)
     nothing = drive.detected * np.log(false) + missed * np.log(1.0 - false)
     limit = DRIVE_LOG_ODDS_MAX
     return np.asarray(np.clip(stands - nothing, -limit, limit))

@@ -6,11 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from polemap.build.registration import NO_SHIFT, Shift, register
 from polemap.drivelog.frames import require_same_frame
@@ -48,13 +45,15 @@ def match_points(first_m: Floats, second_m: Floats, most_m: float) -> Whole:
     if not len(first_m) or not len(second_m):
         return none
 
-    near = KDTree(first_m).sparse_distance_matrix(KDTree(second_m), most_m, output_type="ndarray")
+    near = scipy.spatial.KDTree(first_m).sparse_distance_matrix(
+        scipy.spatial.KDTree(second_m), most_m, output_type="ndarray"
+    )
     if not len(near):
         return none
     a, b, distance = near["i"].astype(np.int64), near["j"].astype(np.int64), near["v"]
     n = len(first_m) + len(second_m)
-    graph = coo_matrix((np.ones(len(a)), (a, b + len(first_m))), shape=(n, n))
-    _, group = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b + len(first_m))), shape=(n, n))
+    _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
     order = np.argsort(group[a], kind="stable")
     bounds = np.flatnonzero(np.diff(group[a][order], prepend=-1, append=n + 1))
     pairs = []
@@ -64,7 +63,7 @@ def match_points(first_m: Floats, second_m: Floats, most_m: float) -> Whole:
         columns, column_of = np.unique(b[links], return_inverse=True)
         cost = np.full((len(rows), len(columns)), 1e6)
         cost[row_of, column_of] = distance[links]
-        i, j = linear_sum_assignment(cost)
+        i, j = scipy.optimize.linear_sum_assignment(cost)
         good = cost[i, j] < 1e6
         pairs.append(np.stack([rows[i[good]], columns[j[good]]], axis=1))
     return np.concatenate(pairs)

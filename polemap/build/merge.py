@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.build.config import MappingConfig
 from polemap.build.constants import (
@@ -28,13 +28,12 @@ from polemap.build.constants import (
 )
 from polemap.build.robust_means import weighted_mean
 from polemap.build.traversals import TraversalLandmarks
-from polemap.vehicle.kalman import chi_square_quantile
+from polemap.vehicle.kalman import chi_square_gate
 from polemap.vehicle.pose import rotate
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-_MEDIAN = chi_square_quantile(0.5, 2)
 _PAIRS_MIN = 20  # fewer pairs do not measure an error
 
 
@@ -95,12 +94,12 @@ def shared_sd(offset_m: Floats, covariance_m2: Floats, most_m: float) -> float:
         solved = np.linalg.solve(spread, offset_m[..., None])[..., 0]
         return float(np.median(np.sum(offset_m * solved, axis=1)))
 
-    low, high = 0.0, most_m
-    if median(low) <= _MEDIAN:
+    low, high, honest = 0.0, most_m, chi_square_gate(0.5, 2)
+    if median(low) <= honest:
         return 0.0
     for _ in range(40):
         middle = (low + high) / 2.0
-        low, high = (middle, high) if median(middle) > _MEDIAN else (low, middle)
+        low, high = (middle, high) if median(middle) > honest else (low, middle)
     return (low + high) / 2.0
 
 
@@ -112,7 +111,7 @@ def close_pairs(points_m: Floats, most_m: float) -> Whole:
     """
     if len(points_m) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    pairs = KDTree(points_m).query_pairs(1.000001 * most_m, output_type="ndarray")
+    pairs = scipy.spatial.KDTree(points_m).query_pairs(1.000001 * most_m, output_type="ndarray")
     pairs = np.sort(pairs.reshape(-1, 2).astype(np.int64), axis=1)
     offset = points_m[pairs[:, 0]] - points_m[pairs[:, 1]]
     return np.asarray(pairs[np.hypot(offset[:, 0], offset[:, 1]) <= most_m])
@@ -205,7 +204,7 @@ def cluster(
     offset = landmarks.points_m[pairs[:, 0]] - landmarks.points_m[pairs[:, 1]]
     both = spread[pairs[:, 0]] + spread[pairs[:, 1]]
     likeness = np.sum(offset * np.linalg.solve(both, offset[..., None])[..., 0], axis=1)
-    gate = chi_square_quantile(MERGE_PROBABILITY, 2)
+    gate = chi_square_gate(MERGE_PROBABILITY, 2)
     usable = (likeness <= gate) & ~_listed(pairs, cannot_link, n)
     pairs, likeness = pairs[usable], likeness[usable]
     # ties are broken by place, never by row: the order in which drives come must not matter

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
-from scipy.spatial import KDTree
 
 from polemap.build.georeference import MapDetections
 from polemap.build.traversals import TraversalLandmarks
@@ -62,7 +61,7 @@ def register(moving_m: Floats, fixed_m: Floats, most_m: float, inlier_m: float =
     """
     if len(moving_m) < _MATCHES_MIN or len(fixed_m) < _MATCHES_MIN:
         return NO_SHIFT
-    tree = KDTree(fixed_m)
+    tree = scipy.spatial.KDTree(fixed_m)
     start = _vote(moving_m, fixed_m, tree, most_m)
     centre = moving_m.mean(axis=0)
     move, yaw = start, 0.0
@@ -81,7 +80,7 @@ def register(moving_m: Floats, fixed_m: Floats, most_m: float, inlier_m: float =
     return Shift((float(move[0]), float(move[1])), yaw, (centre[0], centre[1]), sd, matches)
 
 
-def _vote(moving: Floats, fixed: Floats, tree: KDTree, most_m: float) -> Floats:
+def _vote(moving: Floats, fixed: Floats, tree: scipy.spatial.KDTree, most_m: float) -> Floats:
     """The most frequent difference of two points, by a window that slides over all differences."""
     pairs: Any = tree.query_ball_point(moving, most_m)
     difference = np.concatenate(
@@ -91,7 +90,7 @@ def _vote(moving: Floats, fixed: Floats, tree: KDTree, most_m: float) -> Floats:
     cells = int(np.ceil(2.0 * most_m / _CELL_M))
     edges = np.linspace(-most_m, most_m, cells + 1)
     count, _, _ = np.histogram2d(difference[:, 0], difference[:, 1], bins=(edges, edges))
-    votes = uniform_filter(count, size=5, mode="constant")
+    votes = scipy.ndimage.uniform_filter(count, size=5, mode="constant")
     middle = (edges[1:] + edges[:-1]) / 2.0
     east, north = np.meshgrid(middle, middle, indexing="ij")
     # where votes tie, the smaller shift is the likelier one

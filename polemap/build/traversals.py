@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from polemap.build.config import MappingConfig
 from polemap.build.constants import GATE_PROBABILITY, GATE_SLACK_M, TRAVERSAL_GAP_S
@@ -104,7 +104,7 @@ def _assign(distance: Floats, gate: float) -> Whole:
     if not len(rows):
         return chosen
     cost = np.where(inside, distance, 10.0 * gate)[np.ix_(rows, columns)]
-    first, second = linear_sum_assignment(cost)
+    first, second = scipy.optimize.linear_sum_assignment(cost)
     fits = cost[first, second] < gate
     chosen[rows[first[fits]]] = columns[second[fits]]
     return chosen

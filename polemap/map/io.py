@@ -25,7 +25,6 @@ from polemap.map.city.stored import CITY_POLES
 from polemap.map.crowds import check_crowds
 from polemap.map.formats import geojson, opendrive, osm
 from polemap.map.formats.columns import KNOWN, from_columns
-from polemap.map.formats.geopackage.io import read_geopackage, write_geopackage
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.json_text import read_json
@@ -128,6 +127,18 @@ def read_map(
     return pole_map.to_frame(frame)
 
 
+def _write_geopackage(pole_map: PoleMap, path: Path) -> None:
+    from polemap.map.formats.geopackage.io import write_geopackage  # geopandas is slow to import
+
+    write_geopackage(pole_map, path)
+
+
+def _read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
+    from polemap.map.formats.geopackage.io import read_geopackage
+
+    return read_geopackage(path, frame)
+
+
 def _write_geojson(pole_map: PoleMap, path: Path) -> None:
     document = geojson.to_document(pole_map)
     path.write_text(json.dumps(document, allow_nan=False, separators=(",", ":")), encoding="utf-8")
@@ -197,7 +208,7 @@ def _write_opendrive(pole_map: PoleMap, path: Path) -> None:
 
 
 _READERS = {
-    ".gpkg": read_geopackage,
+    ".gpkg": _read_geopackage,
     ".geojson": _read_geojson,
     ".json": _read_geojson,
     ".parquet": _read_parquet,
@@ -205,7 +216,7 @@ _READERS = {
     ".osm": _read_osm,
     ".pbf": _read_pbf,
 }
-_WRITERS = {".gpkg": write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
+_WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
 # for other programs only: they keep less than the whole map
 _EXPORTERS = {".osm": _write_osm, ".pbf": _write_pbf, ".xodr": _write_opendrive}
 MAP_ENDINGS = tuple(sorted(_READERS))

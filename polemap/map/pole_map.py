@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from polemap.drivelog.detections import VisibleRegion
 from polemap.drivelog.errors import InputError
@@ -61,7 +61,7 @@ class PoleMap:
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     doubtful: PoleMap | None = None
-    _tree: KDTree | None = field(default=None, repr=False, compare=False)
+    _tree: scipy.spatial.KDTree | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -116,12 +116,14 @@ class PoleMap:
         return np.broadcast_to(np.int8(0), len(self)) if column is None else column
 
     @property
-    def tree(self) -> KDTree | None:
+    def tree(self) -> scipy.spatial.KDTree | None:
         """The index over `points_m`, built when it is first asked for; None without poles."""
         if self._tree is None and len(self):
             # splitting at the middle builds several times faster, and poles are spread evenly
             # enough along streets for queries to stay as quick
-            tree = KDTree(self.points_m, balanced_tree=False, compact_nodes=False, leafsize=16)
+            tree = scipy.spatial.KDTree(
+                self.points_m, balanced_tree=False, compact_nodes=False, leafsize=16
+            )
             object.__setattr__(self, "_tree", tree)
         return self._tree
 

@@ -20,8 +20,8 @@ log-odds.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from polemap.drivelog.detections import Detections
 from polemap.track.config import TrackingConfig
@@ -57,6 +57,7 @@ class PoleTracker:
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
         self._gate = chi_square_quantile(GATE_PROBABILITY, 2)
+        _ = scipy.optimize  # loaded here, so that no frame of a live car waits for it
         self._next_id = 0
         self._updated_s: float | None = None
         self.tracks = Tracks()
@@ -144,7 +145,7 @@ class PoleTracker:
         square = np.full((len(tracks), len(usable) + len(tracks)), _FORBIDDEN)
         square[:, : len(usable)] = np.where(allowed, cost, _FORBIDDEN)
         square[:, len(usable) :] = np.where(np.eye(len(tracks), dtype=bool), 0.5 * _FORBIDDEN, 2e6)
-        one, two = linear_sum_assignment(square)
+        one, two = scipy.optimize.linear_sum_assignment(square)
         real = (two < len(usable)) & (square[one, two] < 0.5 * _FORBIDDEN)
         return one[real].astype(np.int64), usable[two[real]]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf, log10, pi
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from polemap.electric.control.body_slip import PiGains, place_pi
 from polemap.electric.estimators.base import CAMERA
@@ -113,7 +113,9 @@ def _table_two(car: Car, figures: dict[str, float]) -> list[Line]:
     a, _ = lateral(car, SPEED_MPS)
     third_hz = (float(-np.trace(a)) - 2.0 * TRIPLE_RADPS) / (2.0 * pi)
     fastest = float(
-        brentq(lambda v: float(-np.trace(lateral(car, v)[0])) - 3.0 * TRIPLE_RADPS, 1.1, 30.0)
+        scipy.optimize.brentq(
+            lambda v: float(-np.trace(lateral(car, v)[0])) - 3.0 * TRIPLE_RADPS, 1.1, 30.0
+        )
     )
     base = place_pi(*lateral(car, SPEED_MPS), 2.0 * pi * POLE_HZ)
     gain = 10.0 ** ((loop_margins(car, SPEED_MPS, base, SLOW_S).gain_db - PRINTED_DB[0]) / 20.0)

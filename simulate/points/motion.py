@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from polemap.vehicle.motion import move_along_arc
 from polemap.vehicle.pose import wrap_angle
@@ -210,7 +210,7 @@ def wandering(count: int, time_s: float, rng: np.random.Generator) -> Floats:
     keep = np.exp(-1.0 / (RATE_HZ * time_s))
     kicks = rng.standard_normal(count) * np.sqrt(1.0 - keep**2)
     kicks[0] = rng.standard_normal()
-    return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
+    return np.asarray(scipy.signal.lfilter([1.0], [1.0, -keep], kicks))
 
 
 def _smooth(count: int, time_s: float, sd: float, rng: np.random.Generator) -> Floats:
@@ -220,4 +220,6 @@ def _smooth(count: int, time_s: float, sd: float, rng: np.random.Generator) -> F
     white = rng.normal(size=count + settle)
     # the variance of a double lag with this pole, driven by unit white noise
     gain = np.sqrt((1 + keep * keep) / (1 - keep * keep) ** 3)
-    return np.asarray(sd * lfilter([1.0], [1.0, -2 * keep, keep * keep], white)[settle:] / gain)
+    return np.asarray(
+        sd * scipy.signal.lfilter([1.0], [1.0, -2 * keep, keep * keep], white)[settle:] / gain
+    )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.pole_map import PoleMap
@@ -99,5 +99,5 @@ def scattered_poles(poses: Floats, per_m2: float, rng: np.random.Generator) -> P
     """
     low, high = poses[:, :2].min(axis=0) - 40.0, poses[:, :2].max(axis=0) + 40.0
     points = rng.uniform(low, high, (int(np.prod(high - low) * per_m2), 2))
-    points = points[KDTree(poses[:, :2]).query(points)[0] > 3.5]
+    points = points[scipy.spatial.KDTree(poses[:, :2]).query(points)[0] > 3.5]
     return Poles(points, rng.uniform(0.1, 0.4, len(points)), np.ones(len(points)))

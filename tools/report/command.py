@@ -23,10 +23,8 @@ from polemap.evaluation.runs.io import read_run_set
 from polemap.tools.findings import require_plausible
 from polemap.tools.option_types import ForceOption, SeedOption
 from polemap.tools.progress import progress
-from polemap.tools.report.sweep_output import sweep_output
 from polemap.tools.report.sweep_spec import parse_sweeps
 from polemap.tools.report.sweeps import run_sweeps
-from polemap.tools.report.write import NO_SWEEPS, write_report
 
 KIND = "report"
 # what sweeps keep lies in the report unless --cache says otherwise
@@ -89,6 +87,10 @@ def command(
     repeatability. docs/repeatability.md defines every figure. A sweep keeps what it finds in a
     cache: a killed one goes on where it was.
     """
+    # matplotlib is slow to import, and its absence is told before the work
+    from polemap.tools.report.sweep_output import sweep_output
+    from polemap.tools.report.write import NO_SWEEPS, write_report
+
     if cache is not None and cache.resolve() == (out / "cache").resolve():
         cache = None
     added = parse_added(add or [])

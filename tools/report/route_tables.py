@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 from polemap.evaluation.laps import road_length_m
 from polemap.evaluation.results import RouteResult, SystemResult
@@ -273,7 +273,9 @@ def poles_per_km(result: RouteResult) -> float | None:
         return None
     guides = [recording.guide for recording in result.route.recordings]
     line = np.concatenate([guide.thinned(2.0).poses[:, :2] for guide in guides])
-    near = np.isfinite(KDTree(line).query(poles.points_m, distance_upper_bound=NEAR_ROUTE_M)[0])
+    near = np.isfinite(
+        scipy.spatial.KDTree(line).query(poles.points_m, distance_upper_bound=NEAR_ROUTE_M)[0]
+    )
     length_m = road_length_m(guides)
     return float(near.sum() / length_m * 1e3) if length_m else None
 

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from polemap.build.city.cutting import Key, LandmarkCut, ScanCut, places
 from polemap.build.config import MappingConfig
@@ -232,8 +231,8 @@ def _owned(task: TileTask) -> tuple[NDArray[np.bool_], bool]:
     points = task.landmarks.points_m
     n = len(points)
     pairs = close_pairs(points, task.config.merge_max_m)
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    groups, group = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    groups, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
     order = np.lexsort((points[:, 0], points[:, 1]))
     _, first = np.unique(group[order], return_index=True)
     mine = task.mine[order[first]]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.build.slam.association import Seen
 from polemap.build.slam.config import SlamConfig
@@ -57,7 +57,7 @@ class KnownPoles:
             mine, theirs = np.flatnonzero(kind == one), np.flatnonzero(self.kind == one)
             if not len(theirs):
                 continue
-            distance, row = KDTree(self.points_m[theirs]).query(points_m[mine])
+            distance, row = scipy.spatial.KDTree(self.points_m[theirs]).query(points_m[mine])
             near = np.asarray(distance) <= _GATE_M
             pole[mine[near]] = theirs[np.asarray(row)[near]]
             off[mine] = distance

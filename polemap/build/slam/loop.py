@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.vehicle.kalman import chi_square_quantile
 from polemap.vehicle.pose import relative, wrap_angle
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-# a loop that is strained beyond this is taken back: one right loop in ten thousand
-STRAIN_GATE = chi_square_quantile(0.9999, 3)
+# a loop that is strained more than this share of right ones is taken back
+STRAIN_PROBABILITY = 0.9999
 # what matching whole local maps leaves, metres and radians, and what their bending adds
 MATCH_SD = np.array([0.15, 0.15, 0.01])
 

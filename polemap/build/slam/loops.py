@@ -22,7 +22,7 @@ from polemap.build.slam.loop import MATCH_SD, Found, Loop
 from polemap.build.slam.matching import Placement, corrected, place
 from polemap.build.slam.recall import Recall, mirrored
 from polemap.build.slam.submaps import Submap
-from polemap.vehicle.kalman import chi_square_quantile
+from polemap.vehicle.kalman import chi_square_gate
 from polemap.vehicle.pose import compose, relative, rotation, wrap_angle
 
 Floats = NDArray[np.float64]
@@ -34,8 +34,8 @@ _NEAREST = 2  # local maps of one visit that another is matched with
 _VISIT = 3  # local maps in a row that may show one place
 _SAME_M, _SAME_RAD = 4.0, 0.15  # places that are one
 _RECALLED_SD = np.array([1.0, 1.0, 0.05])  # of a place that patterns tell
-_PRIOR_GATE = chi_square_quantile(0.997, 3)
-_JOINT_GATE = chi_square_quantile(0.9999, 3)
+_PRIOR_PROBABILITY = 0.997  # of a right loop against where the graph has the car
+_JOINT_PROBABILITY = 0.9999  # of a right loop against the better ones
 
 
 def find_loops(
@@ -71,7 +71,7 @@ def find_loops(
         if best.log_odds - rival < LOOP_MARGIN:
             ambiguous += 1
             continue
-        if best.prior2 > _PRIOR_GATE:
+        if best.prior2 > chi_square_gate(_PRIOR_PROBABILITY, 3):
             continue
         candidates.append((_loop(first, second, a, b, predicted, best), predicted))
     kept = _agreeing([loop for loop, _ in candidates], anchors, covariance)
@@ -171,7 +171,7 @@ def _placed_by_patterns(
             innovation = corrected(pose, one, submap) - predicted
             innovation[2] = wrap_angle(innovation[2])
             prior2 = float(innovation @ np.linalg.solve(spread, innovation))
-            if prior2 > _PRIOR_GATE:
+            if prior2 > chi_square_gate(_PRIOR_PROBABILITY, 3):
                 continue
             odds = one.log_odds + 0.5 * (one.prior2 - prior2 - open_places)
             landmarks = np.column_stack(
@@ -250,7 +250,7 @@ def _agreeing(loops: list[Loop], anchors: Floats, covariance: Floats) -> list[Lo
         innovation = jacobian @ across[rows] + noise
         off = loop.innovation - jacobian @ state[rows]
         off[2] = wrap_angle(off[2])
-        if off @ np.linalg.solve(innovation, off) > _JOINT_GATE:
+        if off @ np.linalg.solve(innovation, off) > chi_square_gate(_JOINT_PROBABILITY, 3):
             continue
         gain = np.linalg.solve(innovation, across.T).T
         state += gain @ off

@@ -20,11 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from polemap.build.slam.submaps import Submap
-from polemap.vehicle.kalman import chi_square_quantile
+from polemap.vehicle.kalman import chi_square_gate
 from polemap.vehicle.pose import compose, rotate, transform_points
 
 Floats = NDArray[np.float64]
@@ -37,8 +37,7 @@ _DETECTED = 0.7
 _TURN_STEP_RAD = 0.03
 _HYPOTHESES = 6  # placements that are refined
 _APART_M = 1.5  # placements farther apart are two
-_GATE = chi_square_quantile(0.997, 2)
-_PRIOR_GATE = chi_square_quantile(0.997, 3)
+_GATE_PROBABILITY = 0.997  # of a true pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +153,7 @@ def _refine(
 ) -> Placement | None:
     """Assignment and placement in turn, to a fixed point; the log odds of what comes out."""
     gain = _pair_gain(a, b)
-    variance = 2.0 * _POINT_SD_M**2
+    variance, gate = 2.0 * _POINT_SD_M**2, chi_square_gate(_GATE_PROBABILITY, 2)
     pairs = np.empty((0, 2), dtype=np.int64)
     # a window that narrows, so that a start a metre off finds its place
     for widened in (4.0, 2.0, 1.0, 1.0):
@@ -162,8 +161,8 @@ def _refine(
         squared = np.sum((a.points_m[:, None] - placed[None]) ** 2, axis=2) / (
             variance * widened**2
         )
-        worth = np.where(fits & (squared < _GATE), gain - 0.5 * squared, 0.0)
-        rows, columns = linear_sum_assignment(-np.maximum(worth, 0.0))
+        worth = np.where(fits & (squared < gate), gain - 0.5 * squared, 0.0)
+        rows, columns = scipy.optimize.linear_sum_assignment(-np.maximum(worth, 0.0))
         good = worth[rows, columns] > 0.0
         pairs = np.column_stack([rows[good], columns[good]]).astype(np.int64)
         if len(pairs) < 2:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.build.slam.graph import Graph
 from polemap.build.slam.problem import Solution
@@ -46,7 +46,9 @@ def pose_precision(graph: Graph, solution: Solution, anchors: Whole, starts: Who
     places = solution.poses[anchors, :2]
     points = solution.points_m
     gap, nearest = (
-        KDTree(points).query(places) if len(points) else (np.full(len(anchors), np.inf), None)
+        scipy.spatial.KDTree(points).query(places)
+        if len(points)
+        else (np.full(len(anchors), np.inf), None)
     )
     for begin in range(0, len(anchors), _CHUNK):
         rows = np.arange(begin, min(begin + _CHUNK, len(anchors)))

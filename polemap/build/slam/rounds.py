@@ -14,7 +14,7 @@ from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import CALIBRATION_WALK, ROUNDS_MOST
 from polemap.build.slam.graph import LINK_SCALE, Graph
 from polemap.build.slam.known import KnownPoles
-from polemap.build.slam.loop import STRAIN_GATE, Found, Loop
+from polemap.build.slam.loop import STRAIN_PROBABILITY, Found, Loop
 from polemap.build.slam.loops import find_loops, recall_loops
 from polemap.build.slam.noise import Noise, measure_noise
 from polemap.build.slam.problem import Problem, Solution
@@ -24,6 +24,7 @@ from polemap.build.slam.tables import NO_LINKS, build_problem, calibration_sd, p
 from polemap.build.slam.windows import in_windows
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.frames import EarthFrame
+from polemap.vehicle.kalman import chi_square_gate
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -173,7 +174,7 @@ def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[Sta
         broken += [
             pair
             for pair, loop in loops.items()
-            if pair not in broken and loop.strain(solved) > STRAIN_GATE
+            if pair not in broken and loop.strain(solved) > chi_square_gate(STRAIN_PROBABILITY, 3)
         ]
         for pair in broken:
             refused[pair] = refused.get(pair, 0) + 1

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.build.config import MappingConfig
 from polemap.build.slam.config import SlamConfig
@@ -76,7 +76,7 @@ class SlamResult:
         if not len(pole_map):
             return pole_map
         routes = np.concatenate([route.poses[:, :2] for route in self._state.routes])
-        _, row = KDTree(routes).query(pole_map.points_m - self._shift_m)
+        _, row = scipy.spatial.KDTree(routes).query(pole_map.points_m - self._shift_m)
         passes = np.maximum(pole_map.extra["passes"], 1)
         own = self._relative_sd_m[np.asarray(row)] ** 2 / passes
         if rows is not None:
@@ -97,7 +97,7 @@ class SlamResult:
         points = self._state.solution.points_m
         if len(points) and len(pole_map):
             # poles of several passes stand last, and count before the passes themselves
-            distance, row = KDTree(points).query(pole_map.points_m - self._shift_m)
+            distance, row = scipy.spatial.KDTree(points).query(pole_map.points_m - self._shift_m)
             near = np.flatnonzero(distance <= _POLE_M)
             own = self._state.graph.landmark_covariance(np.asarray(row)[near].astype(np.int64))
             covariance[near] = own

@@ -8,8 +8,8 @@ from math import nan
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from polemap.map.city.packing import TILE_POLES, packed_order
 from polemap.map.pole_map import PoleMap
@@ -187,7 +187,7 @@ def _to_the_next(pole_map: PoleMap) -> Floats:
     for tile in chosen:
         points = pole_map.points_m[order[tile * TILE_POLES : (tile + 1) * TILE_POLES]]
         if len(points) > 1:
-            found.append(np.asarray(KDTree(points).query(points, k=2)[0])[:, 1])
+            found.append(np.asarray(scipy.spatial.KDTree(points).query(points, k=2)[0])[:, 1])
     return np.concatenate(found)
 
 

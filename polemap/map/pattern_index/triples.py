@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -68,7 +68,7 @@ def neighbour_triples(points_m: Floats, neighbours: int, bases: Whole | None = N
         return np.empty((0, 3), dtype=np.int64)
     if bases is None:
         bases = np.arange(len(points_m))
-    reach, rows = KDTree(points_m).query(
+    reach, rows = scipy.spatial.KDTree(points_m).query(
         points_m[bases], k=min(neighbours + 1, len(points_m)), distance_upper_bound=REACH_M
     )
     distance, near = np.asarray(reach), np.asarray(rows, dtype=np.int64)

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from polemap.build.slam import rounds
-from polemap.build.slam.loop import STRAIN_GATE, Found, Loop
+from polemap.build.slam.loop import STRAIN_PROBABILITY, Found, Loop
 from polemap.build.slam.motion import CALIBRATION
 from polemap.build.slam.report import sentences
 from polemap.build.slam.submaps import Submap
@@ -20,7 +20,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.extras import MissingExtraError
 from polemap.simulate.points.poles import Poles
-from polemap.vehicle.kalman import chi_square_quantile
+from polemap.vehicle.kalman import chi_square_gate, chi_square_quantile
 from tests.polemap.build.slam.loops import (
     GNSS,
     Simulated,
@@ -195,7 +195,8 @@ def test_a_wrong_loop_is_found_by_its_strain_and_taken_back(
     monkeypatch.setattr(rounds, "find_loops", with_a_wrong_one)
     result = solve(sim.drive)
     back = [one for one in result.summary.places if one.taken_back]
-    assert any(one.log_odds == 99.0 and one.strain > STRAIN_GATE for one in back)
+    gate = chi_square_gate(STRAIN_PROBABILITY, 3)
+    assert any(one.log_odds == 99.0 and one.strain > gate for one in back)
     assert all(one.log_odds < 99.0 for one in result.summary.places if not one.taken_back)
     off, _ = pose_errors(result, sim.truth)
     assert np.quantile(np.abs(off - pose_errors(right, sim.truth)[0]), 0.95) < 0.1
