@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from polemap.drivelog.errors import InputError, Mistakes
 
+CHOOSE = "CHOOSE"  # what a file that we wrote leaves to the user
 _SHOWN_ROWS, _SHOWN_LETTERS = 2, 36
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -93,8 +94,10 @@ def _mistake(problem: Any, model: type[BaseModel], prefix: str) -> str:
         return f"{place}: unknown key; known: {', '.join(known)}{did_you_mean(str(loc[-1]), known)}"
     if problem["type"] == "missing":
         return f"{place}: is missing{help_text and f'; add {help_text}'}"
-    message = str(problem["msg"]).removeprefix("Value error, ")
     found = problem["input"]
+    if found == CHOOSE:
+        return f"{place}: still says {CHOOSE}; give {help_text or 'a value'}"
+    message = str(problem["msg"]).removeprefix("Value error, ")
     shown = "" if isinstance(found, dict) else f" (found {str(found)[:60]})"
     return f"{place}: {message}{shown}{help_text and f'; it is {help_text}'}"
 

@@ -9,9 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Column = int | str
 """A column by its number, from 1, or by its name in the header."""
 
-CHOOSE = "CHOOSE"
-"""What `--write-mapping` leaves for the user to decide."""
-
 
 class Part(BaseModel):
     """A part of a mapping; unknown keys are errors."""

@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.logs.column_parts import CHOOSE, Stamps
+from polemap.drivelog.logs.column_parts import Stamps
 from polemap.drivelog.logs.columns import stamps_wanted
 from polemap.drivelog.logs.log_files import LogFile, PointLog
 from polemap.drivelog.logs.mapping import HEADINGS, LogMapping
 from polemap.drivelog.logs.open_logs import Logs
 from polemap.drivelog.logs.units import units_for
+from polemap.drivelog.problems import CHOOSE
 
 # what loggers call our columns; matched against the words of a name, unit and case left out
 _NAMES: dict[str, str] = {

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.logs.column_parts import CHOOSE, Lever, Stamps, Value, Where
+from polemap.drivelog.logs.column_parts import Lever, Stamps, Value, Where
 from polemap.drivelog.logs.format_part import FormatPart
 from polemap.drivelog.logs.units import factor, nearest_unit, units_for
-from polemap.drivelog.problems import did_you_mean, refusal, validation_mistakes
+from polemap.drivelog.problems import CHOOSE, did_you_mean, refusal, validation_mistakes
 from polemap.drivelog.readers.drive_yaml import DriveYaml
 from polemap.parsing.errors import named
 from polemap.parsing.yaml_text import read_yaml
@@ -88,11 +88,9 @@ def read_log_mapping(path: Path, signals: Sequence[str]) -> LogMapping:
             f"{path}: a mapping file has sections such as `odometry:`; `polemap convert LOG "
             "--write-mapping MAP.yaml` writes one to complete"
         )
-    wrong: list[str] = [
-        f"{key}: still says {CHOOSE}; {_remedy(key)}" for key in _open_choices(tree)
-    ]
+    open_choices = [f"{key}: still says {CHOOSE}; {_remedy(key)}" for key in _open_choices(tree)]
     known = ("drive", "format", "formats", *STREAMS, SIGNALS)
-    wrong += [
+    wrong = [
         f"{key}: unknown section; known: {', '.join(known)}{did_you_mean(str(key), known)}"
         for key in tree
         if key not in known
@@ -106,10 +104,9 @@ def read_log_mapping(path: Path, signals: Sequence[str]) -> LogMapping:
     for name in (*STREAMS, SIGNALS):
         if name in tree:
             streams[name] = _stream(name, tree[name], signals, wrong)
-    if wrong:
+    if open_choices or wrong:
         # a value that is still to be chosen may break other rules, too: it is told once
-        chosen = [line for line in wrong if "still says" in line]
-        raise refusal(path, chosen or wrong)
+        raise refusal(path, open_choices or wrong)
     if not streams and not (set(tree) & {"drive", "format", "formats"}):
         raise InputError(f"{path}: maps no column; add a section such as `odometry:`")
     return LogMapping(str(path), drive, layout, layouts, streams)

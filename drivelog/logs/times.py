@@ -117,7 +117,7 @@ def number_unit(stamps: Stamps, header_unit: str | None, cells: Floats) -> float
             ),
             None,
         )
-        hint = f" ({middle:.0f} looks like {likely} since 1970)" if likely else ""
+        hint = f" ({middle:.4g} looks like {likely} since 1970)" if likely else ""
         raise InputError(
             f"the unit of the stamps is not said{hint}; add `unit: {likely or 's'}` or another of "
             f"{', '.join(units_for('stamp_s'))}"

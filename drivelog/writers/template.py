@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from polemap.drivelog.atomic import atomic_folder
 from polemap.drivelog.errors import OutputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.problems import CHOOSE
 from polemap.drivelog.readers.columns import FILES, required_columns
 from polemap.drivelog.readers.drive_yaml import DriveYaml
 from polemap.drivelog.readers.drive_yaml_parts import (
@@ -21,7 +22,6 @@ from polemap.drivelog.readers.drive_yaml_parts import (
     OdometryPart,
 )
 
-CHOOSE = "CHOOSE"
 _HEAD = """\
 # A plain drive folder. Give what says CHOOSE; delete the CSV files of sensors that the car does not
 # have. `polemap info` tells what is missing or wrong. docs/drives.md explains the format.

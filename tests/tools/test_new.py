@@ -32,6 +32,7 @@ def test_what_is_to_be_given_is_told_and_suffices(
         open_drive(drive)
     open_keys = len(re.findall(r"^(?!#).*: CHOOSE", text, re.MULTILINE))
     assert len(error.value.mistakes) == open_keys == 11
+    assert all("still says CHOOSE; give " in mistake for mistake in error.value.mistakes)
     text = text.replace("frame: CHOOSE", "frame: {kind: utm, epsg: 32632}")
     text = re.sub(r"_px: CHOOSE", "_px: 480", text)
     (drive / "drive.yaml").write_text(text.replace("CHOOSE", "1.5"), encoding="utf-8")
