@@ -113,9 +113,9 @@ def command(
             wrong_most=wrong_most,
             advance=advance,
         )
+    typer.echo(json.dumps(_record(found, index)) if as_json else _told(found, index, wrong_most))
     if picture is not None:
         draw_place(index, found, picture)
-    typer.echo(json.dumps(_record(found, index)) if as_json else _told(found, index, wrong_most))
     return 0
 
 

@@ -1,9 +1,12 @@
 """What a city costs as it grows: writing, index, opening, finding the car, localizing, memory.
 
     python -m benchmarks.localize.city_growth [--poles 1000 ... 10000000] [--starts 30]
-        [--folder FOLDER] [--out ROWS.jsonl] [--picture CURVES.svg]
+        [--folder FOLDER] [--figures benchmarks/localize/city_growth.jsonl]
+        [--picture docs/pictures/city_growth.svg]
 
-`make city` runs it up to a million poles; ten millions take half an hour and 4 GB. Each step is a
+`make city` runs it up to a million poles; ten millions take half an hour and 4 GB. The figures of a
+size take the place of its last ones in the file of figures; of all that stand there the curves are
+drawn (`--poles 0` measures nothing and draws). Each step is a
 process of its own, so that its memory is its own: the city is made and written by tiles; its index
 is built from the file; the file is opened; cars start at random places, know neither place nor
 heading, and search (processor time a search, as in `places`); a drive through the middle is
@@ -30,6 +33,8 @@ from polemap.map.city.io import open_map
 from polemap.map.pattern_index.io import index_file, read_index, write_index
 
 FIRST_START = 20_000
+FIGURES = Path(__file__).with_suffix(".jsonl")
+PICTURE = Path(__file__).parents[2] / "docs" / "pictures" / "city_growth.svg"
 COLUMNS = {
     "poles": "poles", "write_s": "writing, s", "index_s": "index, s", "index_mb": "peak, MB",
     "bytes_a_pole": "bytes a pole", "open_ms": "open map, ms", "open_index_ms": "open index, ms",
@@ -122,7 +127,7 @@ def measure(poles: int, folder: Path, starts: int) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, float]]) -> str:
-    """The rows as a table of a page."""
+    """The rows as a table in Markdown."""
     lines = [" | ".join(COLUMNS.values()), "|".join(["---"] * len(COLUMNS))]
     lines += [" | ".join(_figure(row.get(name, np.nan)) for name in COLUMNS) for row in rows]
     return "\n".join(f"| {line} |" for line in lines)
@@ -134,48 +139,63 @@ def _figure(value: float) -> str:
 
 def draw(rows: list[dict[str, float]], path: Path) -> None:
     """Curves of time and memory over the size of the city."""
+    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    mpl.rcParams["svg.hashsalt"] = "city_growth"  # the same figures, the same bytes
+    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
     times, memory = figure.subplots(1, 2)
     poles = [row["poles"] for row in rows]
     curves: list[tuple[Any, str, str, float]] = [
-        (times, "index_s", "build the index", 1.0),
+        (times, "index_s", "build the index", 1.0), (times, "write_s", "write the map", 1.0),
         (times, "search_p95_ms", "a search, 95 %", 1e-3),
         (times, "search_ms", "a search, median", 1e-3), (times, "open_ms", "open the map", 1e-3),
         (times, "open_index_ms", "open the index", 1e-3),
-        (memory, "index_mb", "building the index", 1.0), (memory, "peak_mb", "localizing", 1.0),
-        (memory, "search_mb", "searching, mapped pages", 1.0),
+        (memory, "index_mb", "building the index", 1.0),
+        (memory, "search_mb", "searching: pages of the index", 1.0),
+        (memory, "peak_mb", "localizing", 1.0),
     ]  # fmt: skip
     for axes, name, label, scale in curves:
-        values = [max(row[name] * scale, 1e-4) for row in rows]
-        axes.plot(poles, values, marker="o", label=label)
-    for axes, name in ((times, "s"), (memory, "MB")):
+        axes.plot(poles, [row[name] * scale for row in rows], marker="o", ms=4, label=label)
+    for axes, name in ((times, "seconds"), (memory, "MB")):
         axes.set(xscale="log", yscale="log", xlabel="poles of the city", ylabel=name)
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
+def kept(path: Path) -> dict[int, dict[str, float]]:
+    """The figures of a file, by the size that was asked for."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return {int(row["asked"]): row for row in map(json.loads, lines)}
+
+
+def keep(rows: dict[int, dict[str, float]], path: Path) -> None:
+    """Write figures, the smallest city first."""
+    lines = [json.dumps(rows[size]) + "\n" for size in sorted(rows)]
+    path.write_text("".join(lines), encoding="utf-8")
+
+
 def main() -> int:
-    """Measure the sizes that are asked for."""
-    sizes = [1000, 10_000, 100_000, 1_000_000, 10_000_000]
+    """Measure the sizes that are asked for, and draw all that are known."""
+    sizes = [0, 1000, 10_000, 100_000, 1_000_000, 10_000_000]
     asked = command_line(
-        __doc__, poles=[str(size) for size in sizes], starts=30, folder=Path(""), out=Path(""),
-        picture=Path(""),
+        __doc__, poles=[str(size) for size in sizes], starts=30, folder=Path(""), figures=FIGURES,
+        picture=PICTURE,
     )  # fmt: skip
-    rows = []
+    rows = kept(asked.figures)
     with TemporaryDirectory() as temporary:
         folder = asked.folder if asked.folder != Path("") else Path(temporary)
-        for size in asked.poles:
-            rows.append(measure(int(size), folder, asked.starts))
-            print(table(rows[-1:]), flush=True)
-            if asked.out != Path(""):
-                with asked.out.open("a", encoding="utf-8") as stream:
-                    stream.write(json.dumps(rows[-1]) + "\n")
-    print(table(rows))
-    if asked.picture != Path(""):
-        draw(rows, asked.picture)
+        for size in filter(None, map(int, asked.poles)):
+            old = rows.get(size, {})
+            # a map that is there already is not written again
+            rows[size] = {"asked": size, "write_s": old.get("write_s", np.nan)}
+            rows[size] |= measure(size, folder, asked.starts)
+            print(table([rows[size]]), flush=True)
+            keep(rows, asked.figures)
+    print(table([rows[size] for size in sorted(rows)]))
+    draw([rows[size] for size in sorted(rows)], asked.picture)
     return 0
 
 

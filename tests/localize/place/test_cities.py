@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from benchmarks.localize import city_growth
 from benchmarks.localize.cities import changed, make_city, motion_along, route
 from benchmarks.localize.places import Start, drive_through, one_start, show
 from tests.localize.place.town import drive_in, index_of, town
@@ -53,3 +56,25 @@ def test_what_came_of_starts_is_told(capsys: pytest.CaptureFixture[str]) -> None
     scans, odometry, _ = drive_through(town(0), 5)
     assert len(scans) > 100
     assert len(odometry) > 900
+
+
+def test_growth_keeps_its_figures_by_size_and_draws_them(tmp_path: Path) -> None:
+    names = [*city_growth.COLUMNS, "asked"]
+    rows = {size: dict.fromkeys(names, 1.5 * size) | {"asked": size} for size in (1000, 10)}
+    figures = tmp_path / "figures.jsonl"
+    assert city_growth.kept(figures) == {}
+    city_growth.keep(rows, figures)
+    assert city_growth.kept(figures) == rows
+    assert list(city_growth.kept(figures)) == [10, 1000]
+    for name in ("one.svg", "two.svg"):
+        city_growth.draw(list(rows.values()), tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+
+
+def test_growth_of_the_docs_is_that_of_the_figures() -> None:
+    rows = city_growth.kept(city_growth.FIGURES)
+    docs = Path(__file__).parents[3] / "docs"
+    text = (docs / "city.md").read_text(encoding="utf-8")
+    assert city_growth.PICTURE == docs / "pictures" / "city_growth.svg"
+    for row in rows.values():
+        assert f"| {row['poles']:,.0f} |" in text

@@ -162,6 +162,36 @@ def test_a_car_that_was_moved_unseen_is_found_again_in_a_city_by_tiles(
     assert np.hypot(*(end.pose[:2] - truth[:2])) < 1.0
 
 
+def test_a_car_without_a_place_is_handed_the_map_of_its_town(
+    files: dict[str, Path], tmp_path: Path
+) -> None:
+    other = write_city(town(1).surveyed(0.05, 1), tmp_path)["parquet"]
+    write_index(town(1).surveyed(0.05, 1), other)
+    drive, _ = drive_in(0, SEED)
+    made = ParticleFilter(opened(other), FEW, 2.7, np.random.default_rng(0))
+    samples = sorted(drive.samples(), key=lambda sample: sample.stamp_s)
+    half = [sample for sample in samples if sample.stamp_s < samples[0].stamp_s + 6.0]
+    assert play(made, half) == []
+    made.exchange_map(opened(files["gpkg"]))
+    estimates = play(made, samples[len(half) :])
+    assert off_m(estimates[-1].stamp_s, estimates[-1].pose) < 1.0
+
+
+def test_an_index_that_is_written_over_under_a_car_is_given_up_in_one_line(
+    unindexed: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_index(town_map(), unindexed)
+    city = opened(unindexed)
+    drive, _ = drive_in(0, SEED)
+    made = ParticleFilter(city, FEW, 2.7, np.random.default_rng(0))
+    samples = sorted(drive.samples(), key=lambda sample: sample.stamp_s)
+    assert city.patterns is not None
+    index_file(unindexed).write_bytes(b"")
+    assert play(made, samples) == []
+    assert caplog.text.count("was written over while it was in use") == 1
+    assert len(caplog.records) == 1
+
+
 def test_live_neither_the_index_nor_the_window_holds_up_a_scan(unindexed: Path) -> None:
     drive, _ = drive_in(0, SEED)
     slow = SlowTiles(opened(unindexed))
