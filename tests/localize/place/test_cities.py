@@ -75,6 +75,6 @@ def test_growth_of_the_docs_is_that_of_the_figures() -> None:
     rows = city_growth.kept(city_growth.FIGURES)
     docs = Path(__file__).parents[3] / "docs"
     text = (docs / "city.md").read_text(encoding="utf-8")
-    assert city_growth.PICTURE == docs / "pictures" / "city_growth.svg"
+    assert docs / "pictures" / "city_growth.svg" == city_growth.PICTURE
     for row in rows.values():
         assert f"| {row['poles']:,.0f} |" in text
