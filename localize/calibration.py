@@ -116,6 +116,11 @@ class OdometryCalibration:
         offset, curvature, scale = self._yaw.tolist()
         return OdometryCorrection(offset, curvature, scale, self._scale)
 
+    def uncertainty(self, speed_mps: float, yaw_rate_radps: float) -> tuple[float, float]:
+        """Standard deviations of the speed's scale and of the yaw rate, rad/s, at these rates."""
+        row = np.array([-1.0, speed_mps, yaw_rate_radps])
+        return float(np.sqrt(self._scale_var)), float(np.sqrt(row @ self._yaw_cov @ row))
+
     def correct(self, sample: OdometrySample) -> OdometrySample:
         """The sample without what has been learned; also feeds the standstill detector."""
         if not self._config.learn_offsets:
@@ -174,18 +179,13 @@ class OdometryCalibration:
         keep = np.eye(3) - np.outer(gain, row)
         self._yaw_cov = keep @ self._yaw_cov @ keep.T + np.outer(gain, gain) * variance
 
-    def learn_from_pose(
-        self, stamp_s: float, pose: Floats, covariance: Floats, trusted: bool
-    ) -> None:
-        """Offer a rear-axle pose of the filter; a stretch ends at it when it is long enough.
+    def interrupt(self) -> None:
+        """The pose is not trusted: no stretch runs over it."""
+        self._start = None
 
-        Args:
-            trusted: whether poles hold the pose; a stretch only runs between trusted poses.
-        """
+    def learn_from_pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
+        """Offer a rear-axle pose that poles hold; a stretch ends at it when it is long enough."""
         if not self._config.learn_offsets:
-            return
-        if not trusted:
-            self._start = None
             return
         end = _Start(
             stamp_s,

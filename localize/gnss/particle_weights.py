@@ -18,13 +18,18 @@ MAX_AGE_S = 3.0
 
 
 class FixWeights:
-    """The fixes that no scan has met yet, and the newest of those that one has."""
+    """The fixes that no scan has met yet, and the newest of those that one has.
+
+    Attributes:
+        information_per_m2: of each axis of the position, that the last scan met.
+    """
 
     def __init__(self, receiver: GnssReceiver) -> None:
         self._receiver = receiver
         self._waiting: list[GnssFix] = []
         self._last_s: float | None = None
         self._newest: tuple[GnssFix, Floats] | None = None
+        self.information_per_m2 = 0.0
 
     def add_fix(self, fix: GnssFix) -> None:
         """Keep a fix until the next scan."""
@@ -36,6 +41,7 @@ class FixWeights:
     ) -> Floats:
         """Log-weights `(n,)` of poses `(n, 3)` at `stamp_s` after the fixes up to then."""
         due = [fix for fix in self._waiting if fix.stamp_s <= stamp_s]
+        self.information_per_m2 = 0.0
         if not due:
             return log_weights
         del self._waiting[: len(due)]
@@ -47,6 +53,7 @@ class FixWeights:
             share = self._independent_share(fix.stamp_s - last)
             moved = relative(now, history.odometry_pose(fix.stamp_s))
             self._newest = (fix, moved)
+            self.information_per_m2 += share / self._receiver.sd_m(fix.hdop) ** 2
             log_weights = log_weights + share * gnss_log_likelihood(
                 rear_poses, fix, self._receiver, moved
             )

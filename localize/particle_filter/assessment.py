@@ -28,6 +28,7 @@ from polemap.localize.particle_filter.health import PROVEN_SD_M
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.odometry_trust import OdometryTrust
 from polemap.localize.particle_filter.particles import ParticleSet, effective_count
+from polemap.localize.particle_filter.persistent_errors import PersistentErrors, at_least
 from polemap.localize.particle_filter.pole_weigher import Match, PoleWeigher, independent_share
 from polemap.localize.particle_filter.recovery import Recovery, Step
 from polemap.localize.particle_filter.twins import TwinPoles
@@ -41,6 +42,7 @@ class Weighed:
 
     Attributes:
         share: power that the scan's likelihood was raised to.
+        before: `(3, 3)` covariance of the particles before that.
         last_pose, last_odometry_pose: of the last estimate.
     """
 
@@ -50,6 +52,7 @@ class Weighed:
     particles: ParticleSet
     landmarks: Landmarks
     share: float
+    before: Floats
     last_pose: Floats
     last_odometry_pose: Floats
 
@@ -74,6 +77,7 @@ class Assessment:
         self._weigher, self._recovery, self._fixes = weigher, recovery, fixes
         self._odometry, self._twins = odometry, twins
         self._detector = DetectorTrust(config.poles, counts)
+        self.persistent = PersistentErrors(config.poles.position_floor_m)
         # what the odometry's calibration learns by: without what is only suspected
         self.learned_spread: Floats = np.eye(3)
 
@@ -84,6 +88,7 @@ class Assessment:
         scan, particles = done.scan, done.particles
         pose, spread, modes, major, minor = self._pose(particles)
         fit = self._weigher.match(pose, scan, done.landmarks)
+        spread, stated_m = self._stated(done, fit, pose, spread, major)
         self._recovery.lost.add_match(
             scan.stamp_s,
             fit.matched,
@@ -108,10 +113,10 @@ class Assessment:
             self._detector.place_proven(pose, done.step)
         limit_m = self._config.health.sd_max_m
         settled = self._recovery.proof.proven and len(modes) == 1
-        usable = settled and major <= limit_m and self._recovery.lost.fits and not unmatched
+        usable = settled and stated_m <= limit_m and self._recovery.lost.fits and not unmatched
         healthy = usable and not self._odometry.doubted and opinion != "contradicted"
         healthy &= self._detector.believed and not self._recovery.far_from_fixes
-        healthy &= bool(np.hypot(major, hint_m) <= limit_m)
+        healthy &= bool(np.hypot(stated_m, hint_m) <= limit_m)
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,
@@ -154,6 +159,24 @@ class Assessment:
             spread = spread.copy()
             spread[:2, :2] += self._recovery.strange.map_sd_m**2 * np.eye(2)
         return pose, spread, modes, major, minor
+
+    def _stated(
+        self, done: Weighed, fit: Match, pose: Floats, spread: Floats, major: float
+    ) -> tuple[Floats, float]:
+        """Covariance that is nowhere below what errors that stay with the poles leave, and the
+        larger deviation of position."""
+        if done.event == "initialized":
+            self.persistent.start(done.before)
+        self.persistent.add_fixes(done.before, self._fixes.information_per_m2)
+        self.persistent.add_scan(
+            done.before, done.scan, done.landmarks, pose, fit.assignment, done.share
+        )
+        if done.event == "reinitialized":
+            self.persistent.start(spread)
+        stated = at_least(spread, self.persistent.covariance)
+        if stated is spread:
+            return spread, major
+        return stated, max(major, position_sd(stated)[0])
 
     def _judge_place(
         self, done: Weighed, fit: Match, pose: Floats, major: float, *, narrow: bool

@@ -160,6 +160,7 @@ class ParticleFilter:
         self._pose = np.array(pose, dtype=np.float64)
         self._odometry_pose = self._history.odometry_pose(stamp_s)
         self._recovery.believe()
+        self._assessment.persistent.start(np.asarray(covariance, dtype=np.float64))
 
     def exchange_map(self, pole_map: PoleMap | CityMap) -> None:
         """Hold the next scans against another map of the same frame; see `Localizer`."""
@@ -197,11 +198,11 @@ class ParticleFilter:
         event: Event | None = None
         if self.initialized:
             arcs = self._history.arcs(self._stamp_s, stamp, _ARC_S)
-            before, after = (
+            held_before, held_after = (
                 Held(s, *self._history.rates_at(s), turn_doubted=True)
                 for s in (self._stamp_s, stamp)
             )
-            if self._odometry.release(self._particles, arcs, before, after):
+            if self._odometry.release(self._particles, arcs, held_before, held_after):
                 self._recovery.search.forget_poles()
             if self._recovery.proof.proven and self._particles.motion is None:
                 self._particles.faults.step(
@@ -209,9 +210,14 @@ class ParticleFilter:
                     *demand(self._history, stamp),
                     suspect=self._odometry.suspect(stamp),
                 )
+            before = self._particles.rear
             self._particles.move_along(
                 arcs, self._noise.factors if self._recovery.proof.proven else np.ones(3)
             )
+            self._assessment.persistent.move(
+                before, self._particles.rear, stamp - self._stamp_s,
+                self._calibration.uncertainty(*self._history.rates_at(stamp)),
+            )  # fmt: skip
             self._recovery.scatter(self._particles, stamp, travelled)
             share = independent_share(
                 travelled - self._travelled_m, stamp - self._stamp_s, self._config.poles
@@ -232,7 +238,7 @@ class ParticleFilter:
         particles.log_weights = self._fixes.weigh_by_fixes(
             particles.log_weights, particles.rear, stamp, self._history
         )
-        self._weigh_scan(scan, share)
+        before_scan = self._weigh_scan(scan, share)
         if event is None:
             event = self._recovery.recover(particles, scan, odometry_pose, self._scan_evidence)
             if event == "reinitialized":
@@ -240,7 +246,7 @@ class ParticleFilter:
                 self._calibration.forget()
                 self._noise.reset()
         done = Weighed(
-            scan, event, step, particles, self._landmarks, self._used_share,
+            scan, event, step, particles, self._landmarks, self._used_share, before_scan,
             self._pose, self._odometry_pose,
         )  # fmt: skip
         estimate = self._assessment.estimate(done, self._history, self.correction)
@@ -248,9 +254,11 @@ class ParticleFilter:
         particles.resample_by_weight(estimate.health.n_eff)
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
-        held = self._trusted and estimate.health.matched >= 2
-        spread = self._assessment.learned_spread
-        self._calibration.learn_from_pose(stamp, estimate.pose, spread, held)
+        if not self._trusted:
+            self._calibration.interrupt()
+        elif estimate.health.matched >= 2:
+            spread = self._assessment.learned_spread
+            self._calibration.learn_from_pose(stamp, estimate.pose, spread)
         return estimate
 
     def _mapped(self, scan: Detections, odometry_pose: Floats) -> Detections:
@@ -269,7 +277,8 @@ class ParticleFilter:
         self._window.follow([pose[:2], *places], velocity)
         return self._window.mapped(scan, pose)
 
-    def _weigh_scan(self, scan: Detections, share: float) -> None:
+    def _weigh_scan(self, scan: Detections, share: float) -> Floats:
+        """Weigh the particles; their covariance `(3, 3)` before."""
         particles = self._particles
         rear, before = particles.rear, particles.weights
         self._landmarks = self._weigher.near(rear, scan)
@@ -289,3 +298,4 @@ class ParticleFilter:
         self._recovery.averages.add_quality(
             scan.stamp_s, normalized_quality(result, before, len(scan))
         )
+        return expected[1]

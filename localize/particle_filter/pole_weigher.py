@@ -4,12 +4,13 @@ counts."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.localize.config import LocalizeConfig, PolesConfig
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.particles import effective_count, normalized
@@ -54,12 +55,14 @@ class Match:
         matched, in_view: poles that match, and map poles in view.
         expected: detections to be hoped for.
         misfit: sum of the squared distances of equation (7) over those that match.
+        assignment: `(z,)` landmark of every seen pole, -1 for clutter.
     """
 
     matched: int
     in_view: int
     expected: float
     misfit: float = 0.0
+    assignment: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
 
 class PoleWeigher:
@@ -113,7 +116,12 @@ class PoleWeigher:
         return joint_likelihoods(parts)
 
     def _weigh_kind(
-        self, rear_poses: Floats, scan: Detections, landmarks: Landmarks
+        self,
+        rear_poses: Floats,
+        scan: Detections,
+        landmarks: Landmarks,
+        *,
+        want_assignment: bool = False,
     ) -> PoseLikelihoods:
         return pole_log_likelihood(
             rear_poses,
@@ -121,12 +129,28 @@ class PoleWeigher:
             landmarks,
             self._model,
             view=self._view_of(scan),
+            want_assignment=want_assignment,
             threads=self._threads,
         )
 
     def match(self, pose: Floats, scan: Detections, landmarks: Landmarks) -> Match:
         """Match a scan from a single rear-axle pose `(3,)`."""
-        result = self.weigh(pose[np.newaxis], scan, landmarks)
+        assignment = np.full(len(scan), -1, dtype=np.int32)
+        parts: list[PoseLikelihoods] = []
+        kinds = np.union1d(scan.kind, landmarks.kind)
+        # a scan of no pole in a map of none misses nothing, and is a part all the same
+        for kind in kinds.tolist() or [int(LandmarkKind.POLE)]:
+            mine, theirs = scan.kind == kind, np.flatnonzero(landmarks.kind == kind)
+            part = self._weigh_kind(
+                pose[np.newaxis],
+                scan.of_kinds(kind),
+                landmarks.take(landmarks.kind == kind),
+                want_assignment=True,
+            )
+            found = part.assignment[0]
+            assignment[mine] = np.where(found >= 0, theirs[found] if len(theirs) else -1, -1)
+            parts.append(part)
+        result = joint_likelihoods(parts)
         local = inverse_transform_points(pose, landmarks.points_m)
         in_view = int(self._view_of(scan).contains(local).sum())
         return Match(
@@ -134,6 +158,7 @@ class PoleWeigher:
             in_view,
             float(result.expected[0]),
             -2.0 * float(result.log_fit[0]),
+            assignment,
         )
 
     def _view_of(self, scan: Detections) -> VisibleRegion:

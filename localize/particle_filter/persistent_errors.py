@@ -1,0 +1,184 @@
+"""What errors that last leave unknown of the pose: those of the poles and of the odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.drivelog.detections import Detections
+from polemap.localize.particle_filter.landmarks import Landmarks
+from polemap.vehicle.kalman import symmetric
+from polemap.vehicle.pose import relative, rotate, rotate_covariance
+
+Floats = NDArray[np.float64]
+
+# share of the variance of a seen position that stays with the pole while it is passed: a stem's
+# disparity errs alike in all looks (docs/maps.md, step 5)
+_SHARE = 0.5
+# poles whose errors are kept, the last that were seen
+_MOST = 16
+
+
+@dataclass(slots=True)
+class PersistentErrors:
+    """Covariance of the particles' mean under errors that last, which the particles leave out.
+
+    The particles take every few metres, or seconds, of a pole for new evidence, and the odometry's
+    errors for white noise. That is right in the mean and wrong where it matters: beside two or
+    three far poles at a start, and on a way without poles while the scale of the speed is not known
+    yet. Here the gain that the particles use is put into the covariance of an estimator that is not
+    optimal, with these errors that last: the place of every pole in the map, a share of how
+    it is seen, the scale of the speed and the offset of the yaw rate as far as they are not
+    learned.
+
+    Attributes:
+        covariance: `(3, 3)` of the pose's error: east, north, yaw.
+        floor_m: standard deviation of every seen position besides what its detector states.
+
+    Source: Gelb (1974), "Applied Optimal Estimation", section 7.2; Schmidt's consider states.
+    """
+
+    floor_m: float
+    covariance: Floats = field(default_factory=lambda: np.eye(3))
+    # covariances of the pose's error with the errors that last, each of variance one: speed and yaw
+    # rate `(3, 2)`, poles `(3, 2 n)`
+    _odometry: Floats = field(default_factory=lambda: np.zeros((3, 2)))
+    _poles: Floats = field(default_factory=lambda: np.zeros((3, 0)))
+    _rows: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def start(self, covariance: Floats) -> None:
+        """A new place, known by a covariance `(3, 3)`."""
+        self.covariance = np.array(covariance, dtype=np.float64)
+        self._odometry = np.zeros((3, 2))
+        self._poles, self._rows = np.zeros((3, 0)), np.empty(0, dtype=np.int64)
+
+    def move(
+        self, before: Floats, after: Floats, elapsed_s: float, sd: tuple[float, float]
+    ) -> None:
+        """The car has moved.
+
+        Args:
+            before, after: rear-axle poses of the particles `(n, 3)`. The noise of their motion
+                is in their own covariance, and left out here.
+            elapsed_s: on the way.
+            sd: of the speed's scale and of the yaw rate, rad/s, as far as they are known.
+        """
+        middle = relative(before, after).mean(axis=0)
+        yaw = float(np.arctan2(np.sin(before[:, 2]).mean(), np.cos(before[:, 2]).mean()))
+        moved = rotate(middle[:2], yaw)
+        transition = np.eye(3)
+        transition[:2, 2] = -moved[1], moved[0]
+        lasting = np.zeros((3, 2))
+        lasting[:2, 0] = sd[0] * moved
+        lasting[:2, 1] = 0.5 * elapsed_s * sd[1] * transition[:2, 2]
+        lasting[2, 1] = elapsed_s * sd[1]
+        led = transition @ self._odometry
+        self.covariance = symmetric(
+            transition @ self.covariance @ transition.T
+            + led @ lasting.T + lasting @ led.T + lasting @ lasting.T
+        )  # fmt: skip
+        self._odometry = led + lasting
+        self._poles = transition @ self._poles
+
+    def add_fixes(self, particles: Floats, information_per_m2: float) -> None:
+        """Fixes have moved particles of covariance `(3, 3)`, which is that after them."""
+        if information_per_m2 <= 0.0:
+            return
+        gain = particles[:, :2] * information_per_m2
+        kept = np.eye(3)
+        kept[:, :2] -= gain
+        self._keep(kept)
+        self.covariance += gain @ gain.T / information_per_m2
+
+    def add_scan(
+        self,
+        particles: Floats,
+        scan: Detections,
+        landmarks: Landmarks,
+        pose: Floats,
+        assignment: NDArray[np.int32],
+        share: float,
+    ) -> None:
+        """Poles have moved particles of covariance `(3, 3)`, which is that before them.
+
+        Args:
+            particles: their covariance.
+            scan: as it was seen.
+            landmarks: of the map, around the car.
+            pose: `(3,)` of the rear axle in the map.
+            assignment: `(z,)` landmark of every seen pole, -1 for clutter.
+            share: power that the scan's likelihood was raised to.
+        """
+        mine = np.flatnonzero(assignment >= 0)
+        if share <= 0.0 or not len(mine):
+            return
+        theirs = assignment[mine]
+        count = len(mine)
+        seen = scan.covariance_m2.reshape(-1, 2, 2)[mine] + self.floor_m**2 * np.eye(2)
+        seen = rotate_covariance(seen, pose[2])
+        mapped = landmarks.covariance_m2[theirs][:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+        arm = rotate(scan.points_vehicle_m.reshape(-1, 2)[mine], pose[2])
+        jacobian = np.zeros((count, 2, 3))
+        jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
+        jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
+        flat = jacobian.reshape(-1, 3)
+        across = particles @ flat.T
+        gain = np.linalg.solve(flat @ across + _blocks((seen + mapped) / share), across.T).T
+        kept = np.eye(3) - gain @ flat
+        column = self._columns(landmarks.rows[theirs])
+        root = np.linalg.cholesky(_SHARE * seen + mapped)
+        lasting = np.zeros((2 * count, self._poles.shape[1]))
+        for i, first in enumerate(column.tolist()):
+            lasting[2 * i : 2 * i + 2, first : first + 2] = root[i]
+        moved = gain @ lasting
+        led = kept @ self._poles
+        # neighbouring scans share the other part too, which the power of the scan counts for
+        white = _blocks((1.0 - _SHARE) / share * seen)
+        self._keep(kept)
+        self.covariance = symmetric(
+            self.covariance + gain @ white @ gain.T
+            + moved @ moved.T - led @ moved.T - moved @ led.T
+        )  # fmt: skip
+        self._poles = self._poles - moved
+
+    def _keep(self, kept: Floats) -> None:
+        self.covariance = kept @ self.covariance @ kept.T
+        self._odometry = kept @ self._odometry
+        self._poles = kept @ self._poles
+
+    def _columns(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """First columns of the errors of map poles `(k,)`; of the others the last ones stay."""
+        again = np.isin(self._rows, rows)
+        unseen = np.flatnonzero(~again)
+        stay = np.concatenate(
+            [unseen[max(0, len(unseen) + len(rows) - _MOST) :], np.flatnonzero(again)]
+        )
+        known = self._rows[stay]
+        new = rows[~np.isin(rows, known)]
+        kept = self._poles.reshape(3, -1, 2)[:, stay].reshape(3, -1)
+        self._poles = np.hstack([kept, np.zeros((3, 2 * len(new)))])
+        self._rows = np.concatenate([known, new])
+        order = {row: i for i, row in enumerate(self._rows.tolist())}
+        return 2 * np.array([order[row] for row in rows.tolist()])
+
+
+def _blocks(matrices: Floats) -> Floats:
+    """Matrices `(n, 2, 2)` along the diagonal of one `(2 n, 2 n)`."""
+    count = len(matrices)
+    out = np.zeros((count, 2, count, 2))
+    out[np.arange(count), :, np.arange(count)] = matrices
+    return out.reshape(2 * count, 2 * count)
+
+
+def at_least(covariance: Floats, floor: Floats) -> Floats:
+    """The smallest covariance `(3, 3)` that is nowhere below either of two, along the axes that
+    both share (those that make the one round and the other a diagonal)."""
+    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
+    inside = np.linalg.solve(root, np.linalg.solve(root, floor).T)
+    values, axes = np.linalg.eigh(symmetric(inside))
+    if values[-1] <= 1.0:
+        return covariance
+    grown = root @ axes * np.sqrt(np.maximum(values, 1.0))
+    return np.asarray(grown @ grown.T)
