@@ -51,7 +51,7 @@ _ACQUITTED, _ACQUITTED_SD, _LAPSE_M = np.array([0.028, 0.05, 0.2]), 2.0, 120.0
 _ACQUITTED_FITS = 4
 # after a start a single fit of the ranges is enough; a car that stands, or sees next to nothing, is
 # not waited for longer
-_START_ACQUITTED, _START_S = np.array([np.inf, 0.1, np.inf]), 3.0
+_START_ACQUITTED, _START_S = np.array([np.inf, 0.1, np.inf]), 2.0
 
 
 class DetectorCheck:

@@ -43,7 +43,7 @@ def drive(
         calibration.correct(OdometrySample(t, t, measured_speed, measured))
         if k % 5 == 4:
             seen = pose + rng.normal(0, [pose_sd, pose_sd, 0.003])
-            calibration.learn_from_pose(t, seen, covariance, trusted=True)
+            calibration.learn_from_pose(t, seen, covariance)
 
 
 def test_the_offset_is_learned_at_standstill() -> None:
@@ -99,21 +99,32 @@ def test_late_and_doubled_samples_are_not_counted_twice() -> None:
         t = 0.02 * k
         for stamp in (t, t - 0.02) if k % 25 == 24 else (t,):
             calibration.correct(OdometrySample(stamp, t, 10.0, 0.0))
-        calibration.learn_from_pose(
-            t, np.array([10.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=True
-        )
+        calibration.learn_from_pose(t, np.array([10.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4)
     assert calibration.correction.speed_scale == pytest.approx(0.0, abs=1e-6)
 
 
-def test_poses_that_no_pole_holds_teach_nothing() -> None:
+def test_poses_that_are_not_trusted_teach_nothing() -> None:
     calibration = OdometryCalibration(OdometryConfig())
     for k in range(5000):
         t = 0.02 * k
         calibration.correct(OdometrySample(t, t, 10.0, 0.0))
-        calibration.learn_from_pose(
-            t, np.array([20.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4, trusted=False
-        )
+        calibration.learn_from_pose(t, np.array([20.0 * t, 0.0, 0.0]), np.eye(3) * 1e-4)
+        calibration.interrupt()
     assert calibration.correction.speed_scale == 0.0
+
+
+def test_a_stretch_runs_over_a_gap_without_poles() -> None:
+    """Poles hold the pose for a second in every four: never for the 20 m of a stretch."""
+    calibration = OdometryCalibration(OdometryConfig())
+    before, _ = calibration.uncertainty(10.0, 0.0)
+    for k in range(3000):
+        t = 0.02 * k
+        calibration.correct(OdometrySample(t, t, 10.0, 0.0))
+        if k % 200 < 50 and k % 5 == 0:
+            calibration.learn_from_pose(t, np.array([10.2 * t, 0.0, 0.0]), np.eye(3) * 1e-4)
+    after, _ = calibration.uncertainty(10.0, 0.0)
+    assert calibration.correction.speed_scale == pytest.approx(0.02, abs=3.0 * after)
+    assert after < 0.3 * before
 
 
 def test_learning_can_be_switched_off() -> None:
@@ -135,6 +146,6 @@ def test_poses_of_late_scans_belong_to_their_own_moment() -> None:
         way.append(way[-1] + 0.02 * speed)
         if k > late:
             pose = np.array([way[k - late], 0.0, 0.0])
-            calibration.learn_from_pose(t - 0.02 * late, pose, np.eye(3) * 1e-4, trusted=True)
+            calibration.learn_from_pose(t - 0.02 * late, pose, np.eye(3) * 1e-4)
     # summed over a wrong 0.2 s, stretches of 20 m would be up to a metre too long or too short
     assert calibration.correction.speed_scale == pytest.approx(0.0, abs=1e-3)
