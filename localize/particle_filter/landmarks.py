@@ -24,7 +24,7 @@ class Landmarks:
         covariance_m2: `(m, 3)` var east, var north, covariance.
         width_m: `(m,)`, NaN where unknown.
         detection: `(m,)` probability that a pole in view is reported, in (0, 1).
-        rows: `(m,)` rows of the map that they come from.
+        ids: `(m,)` of the map's poles, whatever part of the map is loaded.
     """
 
     kind: NDArray[np.int8]
@@ -32,7 +32,7 @@ class Landmarks:
     covariance_m2: Floats
     width_m: Floats
     detection: Floats
-    rows: NDArray[np.int64]
+    ids: NDArray[np.int64]
 
     @classmethod
     def of(
@@ -49,7 +49,7 @@ class Landmarks:
             np.stack([covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]], axis=1),
             np.asarray(pole_map.width_m[rows], dtype=np.float64),
             np.minimum(p_detection * existence, _LARGEST_DETECTION),
-            rows,
+            np.asarray(pole_map.ids[rows], dtype=np.int64),
         )
 
     def take(self, rows: NDArray[np.bool_]) -> Landmarks:
@@ -57,4 +57,4 @@ class Landmarks:
         return Landmarks(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def __len__(self) -> int:
-        return len(self.rows)
+        return len(self.ids)

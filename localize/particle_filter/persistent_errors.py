@@ -46,13 +46,13 @@ class PersistentErrors:
     # rate `(3, 2)`, poles `(3, 2 n)`
     _odometry: Floats = field(default_factory=lambda: np.zeros((3, 2)))
     _poles: Floats = field(default_factory=lambda: np.zeros((3, 0)))
-    _rows: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    _ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def start(self, covariance: Floats) -> None:
         """A new place, known by a covariance `(3, 3)`."""
         self.covariance = np.array(covariance, dtype=np.float64)
         self._odometry = np.zeros((3, 2))
-        self._poles, self._rows = np.zeros((3, 0)), np.empty(0, dtype=np.int64)
+        self._poles, self._ids = np.zeros((3, 0)), np.empty(0, dtype=np.int64)
 
     def move(
         self, before: Floats, after: Floats, elapsed_s: float, sd: tuple[float, float]
@@ -127,7 +127,7 @@ class PersistentErrors:
         across = particles @ flat.T
         gain = np.linalg.solve(flat @ across + _blocks((seen + mapped) / share), across.T).T
         kept = np.eye(3) - gain @ flat
-        column = self._columns(landmarks.rows[theirs])
+        column = self._columns(landmarks.ids[theirs])
         root = np.linalg.cholesky(_SHARE * seen + mapped)
         lasting = np.zeros((2 * count, self._poles.shape[1]))
         for i, first in enumerate(column.tolist()):
@@ -148,20 +148,20 @@ class PersistentErrors:
         self._odometry = kept @ self._odometry
         self._poles = kept @ self._poles
 
-    def _columns(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _columns(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """First columns of the errors of map poles `(k,)`; of the others the last ones stay."""
-        again = np.isin(self._rows, rows)
+        again = np.isin(self._ids, ids)
         unseen = np.flatnonzero(~again)
         stay = np.concatenate(
-            [unseen[max(0, len(unseen) + len(rows) - _MOST) :], np.flatnonzero(again)]
+            [unseen[max(0, len(unseen) + len(ids) - _MOST) :], np.flatnonzero(again)]
         )
-        known = self._rows[stay]
-        new = rows[~np.isin(rows, known)]
+        known = self._ids[stay]
+        new = ids[~np.isin(ids, known)]
         kept = self._poles.reshape(3, -1, 2)[:, stay].reshape(3, -1)
         self._poles = np.hstack([kept, np.zeros((3, 2 * len(new)))])
-        self._rows = np.concatenate([known, new])
-        order = {row: i for i, row in enumerate(self._rows.tolist())}
-        return 2 * np.array([order[row] for row in rows.tolist()])
+        self._ids = np.concatenate([known, new])
+        order = {pole: i for i, pole in enumerate(self._ids.tolist())}
+        return 2 * np.array([order[pole] for pole in ids.tolist()])
 
 
 def _blocks(matrices: Floats) -> Floats:

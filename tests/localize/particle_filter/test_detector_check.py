@@ -26,7 +26,7 @@ def mapped(points_m: Floats) -> Landmarks:
         covariance_m2=np.tile([0.0025, 0.0025, 0.0], (n, 1)),
         width_m=np.full(n, np.nan),
         detection=np.full(n, 0.7),
-        rows=np.arange(n),
+        ids=np.arange(n),
     )
 
 
