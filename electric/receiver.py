@@ -46,10 +46,11 @@ class Joined:
 
 def join_receiver(log: SignalLog, fixes: Mapping[str, Floats]) -> Joined:
     """Put fixes into a log: `stamp_s`, `latitude_deg`, `longitude_deg`, and where they are there
-    `speed_mps`, `course_deg` (from north, clockwise) and `hdop`, each `(n,)`.
+    `speed_mps`, `course_deg` (from north, clockwise), `hdop` and `satellites`, each `(n,)`.
 
     A course that a receiver does not give is the direction between two positions: it belongs to
-    the middle between them and is there with the later one.
+    the middle between them and is there with the later one; how far they stand apart is the
+    column `course_baseline_m` of the log, from which `fix_noise` makes its deviation.
 
     Raises:
         InputError: the log has GPS already, too few fixes, or clocks that cannot be brought
@@ -63,7 +64,8 @@ def join_receiver(log: SignalLog, fixes: Mapping[str, Floats]) -> Joined:
     good = ~(hdop > HDOP_MOST)
     if good.sum() < 3:
         raise InputError(f"{int(good.sum())} fixes with HDOP up to {HDOP_MOST:g}, 3 are needed")
-    taken, course, speed, arrival, made = _motion(fixes, good)
+    taken, course, speed, arrival, way, used = _motion(fixes, good)
+    made = np.isfinite(way)
     offset_s = _offset(log, taken, speed)
     taken, arrival = taken + offset_s, arrival + offset_s
     rows = np.rint(np.interp(taken, log.stamp_s, np.arange(len(log)))).astype(np.int64)
@@ -74,7 +76,12 @@ def join_receiver(log: SignalLog, fixes: Mapping[str, Floats]) -> Joined:
         ("course_rad", course),
         ("speed_mps", speed),
         ("gnss_arrival_s", arrival),
+        ("hdop", hdop[used]),
+        ("satellites", fixes.get("satellites", np.full(count, np.nan))[used]),
+        ("course_baseline_m", way),
     ):
+        if not np.isfinite(values).any():
+            continue
         columns[name] = np.full(len(log), np.nan)
         columns[name][rows[inside]] = values[inside]
     joined = SignalLog(log.stamp_s, columns)
@@ -83,8 +90,11 @@ def join_receiver(log: SignalLog, fixes: Mapping[str, Floats]) -> Joined:
 
 def _motion(
     fixes: Mapping[str, Floats], good: NDArray[np.bool_]
-) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_]]:
-    """Stamps, courses (from east, counter-clockwise), speeds, arrivals, which from positions."""
+) -> tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.int64]]:
+    """Stamps, courses (from east, counter-clockwise), speeds, arrivals, distances of positions.
+
+    The latter are NaN where the receiver gave the course. Last the numbers of the fixes used.
+    """
     stamps = np.asarray(fixes["stamp_s"], dtype=np.float64)[good]
     n = len(stamps)
     empty = np.full(len(good), np.nan)
@@ -97,7 +107,7 @@ def _motion(
     way, elapsed = np.hypot(north, east), np.diff(stamps)
     usable = (way > LEAST_WAY_M) & (elapsed > 0.0) & (elapsed < 2.5 * np.median(elapsed))
     missing = np.isnan(course[1:]) & usable
-    made = np.concatenate([[False], missing])
+    baseline = np.concatenate([[np.nan], np.where(missing, way, np.nan)])
     taken = stamps.copy()
     taken[1:][missing] -= 0.5 * elapsed[missing]
     course[1:][missing] = np.arctan2(north, east)[missing]
@@ -106,7 +116,14 @@ def _motion(
     keep = np.isfinite(course) & np.isfinite(speed)
     if keep.sum() < 3:
         raise InputError(f"{int(keep.sum())} of {n} fixes have or give a course, 3 are needed")
-    return taken[keep], np.unwrap(course[keep]), speed[keep], stamps[keep], made[keep]
+    return (
+        taken[keep],
+        np.unwrap(course[keep]),
+        speed[keep],
+        stamps[keep],
+        baseline[keep],
+        np.flatnonzero(good)[keep],
+    )
 
 
 def _offset(log: SignalLog, taken: Floats, speed: Floats) -> float:

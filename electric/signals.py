@@ -36,6 +36,11 @@ INPUT_COLUMNS = (
     "speed_mps",
     "camera_arrival_s",
     "gnss_arrival_s",
+    "course_sd_rad",
+    "speed_sd_mps",
+    "hdop",
+    "satellites",
+    "course_baseline_m",
 )
 CAMERA_SPREAD_COLUMNS = (
     "heading_sd_rad",
@@ -47,6 +52,8 @@ CAMERA_SPREAD_COLUMNS = (
     "lane_width_m",
 )
 """What `polemap lanes` states beside its values: no estimator's input, and no reference."""
+GPS_SPREAD_COLUMNS = ("course_sd_rad", "speed_sd_mps")
+"""Deviations of single fixes; with them a GPS value has four numbers."""
 REFERENCE_COLUMNS = ("sideslip_rad", "vy_mps", "vx_reference_mps")
 LATE = {
     CAMERA: ("heading_rad", "lateral_offset_m", "camera_arrival_s"),
@@ -180,7 +187,7 @@ def play(
         )
         if log.has(name)
     ]
-    captures, waiting = _late_events(log), deque[tuple[float, str, tuple[float, float], float]]()
+    captures, waiting = _late_events(log), deque[tuple[float, str, tuple[float, ...], float]]()
     kept, width = len(range(0, n, every)), len(estimator.fields)
     mean, sd = np.zeros((kept, width)), np.zeros((kept, width))
     step, measure = estimator.step, estimator.measure
@@ -210,19 +217,24 @@ def play(
     return Played(log.stamp_s[::every], estimator.fields, mean, sd)
 
 
-def _late_events(log: SignalLog) -> dict[int, list[tuple[float, str, tuple[float, float]]]]:
-    """Row of capture to what was captured there: arrival, kind and the two values."""
-    events: dict[int, list[tuple[float, str, tuple[float, float]]]] = {}
+def _late_events(log: SignalLog) -> dict[int, list[tuple[float, str, tuple[float, ...]]]]:
+    """Row of capture to what was captured there: arrival, kind and the values."""
+    events: dict[int, list[tuple[float, str, tuple[float, ...]]]] = {}
     for kind, (first, second, arrival_name) in LATE.items():
         if not (log.has(first) and log.has(second)):
             continue
         a, b = log.columns[first], log.columns[second]
         arrivals = log.columns.get(arrival_name, log.stamp_s)
+        stated = kind == GPS and all(log.has(name) for name in GPS_SPREAD_COLUMNS)
         for row in np.flatnonzero(np.isfinite(a) & np.isfinite(b)).tolist():
             arrival = float(arrivals[row])
             stamp = float(log.stamp_s[row])
+            values: tuple[float, ...] = (float(a[row]), float(b[row]))
+            if stated:
+                spread = tuple(float(log.columns[name][row]) for name in GPS_SPREAD_COLUMNS)
+                values += spread if min(spread) > 0.0 else ()
             events.setdefault(row, []).append(
-                (arrival if arrival >= stamp else stamp, kind, (float(a[row]), float(b[row])))
+                (arrival if arrival >= stamp else stamp, kind, values)
             )
     return events
 

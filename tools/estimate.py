@@ -18,6 +18,7 @@ from polemap.drivelog.errors import ConfigError
 from polemap.electric.clock_rate import stretched_clock
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.registry import known_estimators
+from polemap.electric.fix_noise import with_fix_noise
 from polemap.electric.lanes import camera_settings
 from polemap.electric.plausibility import check_log
 from polemap.electric.signals import Played, SignalLog
@@ -144,6 +145,7 @@ def command(
     clock = stretched_clock(signals)
     heard = signals if clock is None else clock.real_time(signals)
     config = load_estimator_config(config_file, set_values, heard, camera_settings(heard))
+    heard = with_fix_noise(heard, config)
     if derive_gps:
         heard = with_derived_gps(heard, config, seed)
         # the antenna of a GPS that is made from the reference sits where the reference does

@@ -26,7 +26,15 @@ _SENTENCE = re.compile(r"\$([A-Z]{2})([A-Z]{3}),([^*\r\n]*)(?:\*([0-9A-Fa-f]{2})
 _KNOWN = ("GGA", "RMC", "VTG", "GSA", "ZDA")
 _KNOT_MPS = 1852.0 / 3600.0
 _DAY_S = 86400.0
-_COLUMNS = ("latitude_deg", "longitude_deg", "hdop", "fix_quality", "speed_mps", "course_deg")
+_COLUMNS = (
+    "latitude_deg",
+    "longitude_deg",
+    "hdop",
+    "satellites",
+    "fix_quality",
+    "speed_mps",
+    "course_deg",
+)
 
 
 @dataclass(slots=True)
@@ -139,6 +147,7 @@ class _Reader:
             "longitude_deg": _angle(cells[3], cells[4], "W", 180.0),
             "fix_quality": float(quality),
             "hdop": float(cells[7]) if cells[7] else self.hdop,
+            "satellites": float(cells[6]) if cells[6] else float("nan"),
         }
 
     def _rmc(self, number: int, talker: str, cells: list[str]) -> None:

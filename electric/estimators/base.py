@@ -65,7 +65,8 @@ class Estimator(Protocol):
     Each fast step calls `step`, then `measure` for what is there at that step (the gyro first),
     then `measure` for late values that arrive at it, then `capture` for every late sensor that
     takes its picture at it. Kinds and their values: `yaw_rate` (rad/s), `lateral_acceleration`
-    (m/s^2), `camera` (heading rad, lateral offset m), `gps` (course rad, speed m/s),
+    (m/s^2), `camera` (heading rad, lateral offset m), `gps` (course rad, speed m/s; where a fix
+    states them the deviations of both follow),
     `wheel_speed` (m/s). A kind that an estimator does not use is no error and changes nothing.
     """
 
@@ -161,16 +162,30 @@ class OutputBridge:
 
 
 def pair(kind: str, value: Value) -> tuple[float, float]:
-    """The two numbers of a camera or GPS value.
+    """The two numbers of a camera or GPS value; `fix_spread` has what may follow them.
 
     Raises:
         VehicleError: not two finite numbers.
     """
     try:
-        first, second = value  # type: ignore[misc]
+        first, second, *_ = value  # type: ignore[misc]
         first, second = float(first), float(second)
     except (TypeError, ValueError) as error:
         raise VehicleError(f"{kind} needs two numbers, not {value!r}") from error
     if not (abs(first) < float("inf") and abs(second) < float("inf")):
         raise VehicleError(f"{kind} value {value!r} is not finite")
     return first, second
+
+
+def fix_spread(value: Value, course_sd_rad: float, speed_sd_mps: float) -> tuple[float, float]:
+    """Deviations of a GPS value's course and speed: its own where it has them, else these.
+
+    Raises:
+        VehicleError: stated deviations that are not positive numbers.
+    """
+    if isinstance(value, float) or len(value) == 2:
+        return course_sd_rad, speed_sd_mps
+    course, speed = (float(number) for number in value[2:4])
+    if not (0.0 < course < float("inf") and 0.0 < speed < float("inf")):
+        raise VehicleError(f"gps value {value!r}: deviations of course and speed must be positive")
+    return course, speed

@@ -17,6 +17,7 @@ from polemap.electric.estimators.base import (
     Inputs,
     OutputBridge,
     Value,
+    fix_spread,
     pair,
 )
 from polemap.electric.estimators.grade import GradeKalman
@@ -225,7 +226,10 @@ class NonlinearKalman:
             self._lateral(float(value))  # type: ignore[arg-type]
         elif kind == GPS:
             course, speed = pair(kind, value)
-            self._course(course, speed, stamp_s)
+            slow = max(speed, _COURSE_SPEED_MPS)
+            sd = max(self._config.course_sd_rad, self._config.speed_sd_mps / slow)
+            sd, _ = fix_spread(value, sd, self._config.speed_sd_mps)
+            self._course(course, speed, sd, stamp_s)
 
     def _lateral(self, ay_mps2: float) -> None:
         change, self._ay_last = ay_mps2 - self._ay_last, ay_mps2
@@ -251,7 +255,7 @@ class NonlinearKalman:
         if self._filter.row(row, residual, variance, _OUTLIER_SD):
             self._count(f"{what} beyond {_OUTLIER_SD:g} deviations, weighed down")
 
-    def _course(self, course_rad: float, speed_mps: float, stamp_s: float) -> None:
+    def _course(self, course_rad: float, speed_mps: float, sd_rad: float, stamp_s: float) -> None:
         f = self._filter
         rows = f.clone(stamp_s)
         if rows is None:
@@ -268,8 +272,7 @@ class NonlinearKalman:
                 residual = 0.0
             row = np.zeros(f.size)
             row[rows.start] = 1.0
-            sd = max(self._config.course_sd_rad, self._config.speed_sd_mps / speed_mps)
-            self._take(row, residual, sd * sd, "gps course")
+            self._take(row, residual, sd_rad * sd_rad, "gps course")
             self._bridge.corrected(self._clock.stamp_s, before, self._with_grade())
         f.release(stamp_s)
 

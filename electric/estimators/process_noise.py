@@ -26,8 +26,9 @@ BETA, GAMMA, PSI, FORCE, MOMENT, AY_BIAS, SCALE, STEERING, GYRO_BIAS, BANK, ROLL
 # tyre), so that less of it is moment: a share of the forces at an arm of the wheelbase.
 FORCE_FLOOR_MPS2, FORCE_SHARE, FORCE_TIME_S = 0.3, 0.1, 1.0
 MOMENT_FLOOR_RADPS2, MOMENT_SHARE, MOMENT_TIME_S = 0.1, 0.02, 0.5
-# the road's friction and the tyres' stiffness together, as the logarithm of a common factor
-SCALE_SD, SCALE_TIME_S = 0.04, 30.0
+# the road's friction and the tyres' stiffness together, as the logarithm of a common factor: fits
+# to parts of one drive of the GTI differ by so much in friction
+SCALE_SD, SCALE_TIME_S = 0.06, 30.0
 # accelerometer: bias with its mounting (1.1 degrees), and the body's roll as a share of what it
 # feels (3 degrees at 1 g); both belong to the car and hardly change
 AY_BIAS_SD_MPS2, AY_BIAS_TIME_S = 0.2, 60.0

@@ -15,6 +15,7 @@ from polemap.electric.estimators.base import (
     Inputs,
     OutputBridge,
     Value,
+    fix_spread,
     pair,
 )
 from polemap.electric.estimators.gate import Gate
@@ -66,6 +67,7 @@ class StiffnessKalman:
         self._filter = ClonedFilter(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), start, _CLONED, slots)
         self._clock = Clock(config.step_s)
         self._bridge = OutputBridge(5)
+        self._course_sd_rad = config.course_sd_rad
         self._gyro_variance = config.gyro_sd_radps**2
         self._camera_noise = np.diag([config.heading_sd_rad**2, config.lateral_offset_sd_m**2])
         self._speed = float("nan")
@@ -123,6 +125,8 @@ class StiffnessKalman:
             if not self.gate.refuses(YAW_RATE, stamp_s, (residual, f.p.item(1, 1) + variance)):
                 f.scalar(1, gyro, variance)
         elif kind in (CAMERA, GPS):
+            if kind == GPS:
+                self._course_sd_rad, _ = fix_spread(value, self._config.course_sd_rad, 1.0)
             self._late(kind, np.array(pair(kind, value)), stamp_s)
 
     def _late(self, kind: str, value: Floats, stamp_s: float) -> None:
@@ -151,7 +155,7 @@ class StiffnessKalman:
                 f.x[rows.start] = f.x[2]
                 f.x[rows.start + 2] = value[0]
             residual = np.array([wrap_angle(value[0] - (jacobian @ f.x)[0])])
-            self._correct(GPS, jacobian, residual, np.array([[self._config.course_sd_rad**2]]))
+            self._correct(GPS, jacobian, residual, np.array([[self._course_sd_rad**2]]))
         f.release(stamp_s)
         self._bridge.corrected(self._clock.stamp_s, before, f.x[:5])
 

@@ -22,6 +22,7 @@ from polemap.electric.estimators.base import (
     Inputs,
     OutputBridge,
     Value,
+    fix_spread,
     pair,
 )
 from polemap.electric.estimators.gate import GPS_SPEED, Gate
@@ -98,6 +99,7 @@ class TwoLayerKalman:
         self._schedule = schedule(_course_model(tau), car, density, config.step_s)
         self._clock = Clock(config.step_s)
         self._bridge = OutputBridge(7)
+        self._spread = config.course_sd_rad, config.speed_sd_mps
         slots = config.gps_slots if delay is Delay.EXACT else 0
         start = np.diag(
             [
@@ -174,6 +176,7 @@ class TwoLayerKalman:
                 f.scalar(1, gyro, variance)
         elif kind == GPS:
             course, speed = pair(kind, value)
+            self._spread = fix_spread(value, self._config.course_sd_rad, self._config.speed_sd_mps)
             before = self._mean()
             if self._take(course, speed, stamp_s):
                 self._bridge.corrected(self._clock.stamp_s, before, self._mean())
@@ -221,7 +224,7 @@ class TwoLayerKalman:
         if speed >= COURSE_SPEED_MPS:
             # the late value corrects the state of its capture; the model brings that to now
             cross = angles.covariance @ COURSE_ROW[0]
-            s = float(COURSE_ROW[0] @ cross) + self._config.course_sd_rad**2
+            s = float(COURSE_ROW[0] @ cross) + self._spread[0] ** 2
             error = float(wrap_angle(course - float(COURSE_ROW[0] @ angles.mean)))
             if not self._headed:
                 self._set_heading(error)
@@ -245,12 +248,12 @@ class TwoLayerKalman:
         if not self._headed:
             self._set_heading(residual)
             residual = 0.0
-        variance = float(jacobian[0] @ f.p @ jacobian[0]) + self._config.course_sd_rad**2
+        variance = float(jacobian[0] @ f.p @ jacobian[0]) + self._spread[0] ** 2
         if not self.gate.refuses(GPS, self._clock.stamp_s, (residual, variance)):
             self._correct_course(jacobian, residual)
 
     def _correct_course(self, jacobian: Floats, residual_rad: float) -> None:
-        noise = np.array([[self._config.course_sd_rad**2]])
+        noise = np.array([[self._spread[0] ** 2]])
         self._angles.update(jacobian, np.array([residual_rad]), noise)
 
     def _set_heading(self, change_rad: float) -> None:
@@ -274,7 +277,7 @@ class TwoLayerKalman:
         if measured is None:
             measured = np.array(rotate(speed, 0.0, beta))
         across = speed * speed * beta_variance + 1e-4
-        noise = rotate_covariance(np.diag([self._config.speed_sd_mps**2, across]), beta)
+        noise = rotate_covariance(np.diag([self._spread[1] ** 2, across]), beta)
         f, residual = self._speeds, measured - jacobian @ self._speeds.x
         variances = np.einsum("ij,jk,ik->i", jacobian, f.p, jacobian) + np.diag(noise)
         numbers = zip(residual.tolist(), variances.tolist(), strict=True)

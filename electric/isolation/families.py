@@ -77,7 +77,8 @@ class Families:
             error = _STEERING_RAD * gain + _STEERING_SHARE * level + slip / t
             votes[STEERING] = Vote((end.steering - start.steering) / t, error)
         if gps is not None:
-            sd = max(self._config.course_sd_rad, self._config.speed_sd_mps / v)
+            stated = max(gps[0].sd_rad, gps[1].sd_rad)
+            sd = max(self._config.course_sd_rad, self._config.speed_sd_mps / v, stated)
             change = gps[1].angle_rad - gps[0].angle_rad
             votes[GPS] = Vote(change / t, (6.0 * sd + slip) / t)
         if camera is not None:

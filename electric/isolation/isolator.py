@@ -181,13 +181,19 @@ class Isolator:
             self._late[name].captured(self.motion.now._replace(stamp_s=stamp_s))
 
     def arrived(
-        self, kind: str, stamp_s: float, angle_rad: float, other: float, arrival_s: float
+        self,
+        kind: str,
+        stamp_s: float,
+        angle_rad: float,
+        other: float,
+        arrival_s: float,
+        sd_rad: float = 0.0,
     ) -> None:
-        """Its value is there."""
+        """Its value is there; `sd_rad` is what it states of its angle."""
         name = LATE[kind]
         self.heard.add(name)
         late = self._late[name]
-        if not late.arrived(stamp_s, angle_rad, other, arrival_s) or len(late.events) < 2:
+        if not late.arrived(stamp_s, angle_rad, other, arrival_s, sd_rad) or len(late.events) < 2:
             return
         self._suspicions.together_s = max(TOGETHER_S, late.together_s())
         last = late.events[-1]
@@ -195,7 +201,8 @@ class Isolator:
             return
         if late.constant():
             self._accuse(name, arrival_s, 0.0, "constant")
-        sd_rad = self._config.speed_sd_mps / max(self.speed.mps, 1.0) if name == GPS else 0.0
+        if name == GPS:
+            sd_rad = max(sd_rad, self._config.speed_sd_mps / max(self.speed.mps, 1.0))
         if late.noisy(sd_rad) and GYRO not in self.faulty:
             self._accuse(name, arrival_s, 0.0, "noise of many times its own")
         for window_s in WINDOWS_S:

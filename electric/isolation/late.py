@@ -20,12 +20,14 @@ class Event(NamedTuple):
     """A late value: angle (rad), the other number, and the motion at its capture.
 
     `way` is the sum of angle times distance (camera): what the heading moves the car aside, m.
+    `sd_rad` is what the value states of its angle, 0 where it does not.
     """
 
     moment: Moment
     angle_rad: float
     other: float
     way: float
+    sd_rad: float = 0.0
 
 
 class LateSensor:
@@ -53,7 +55,9 @@ class LateSensor:
         if len(self._captured) > 64:
             del self._captured[next(iter(self._captured))]
 
-    def arrived(self, stamp_s: float, angle_rad: float, other: float, arrival_s: float) -> bool:
+    def arrived(
+        self, stamp_s: float, angle_rad: float, other: float, arrival_s: float, sd_rad: float = 0.0
+    ) -> bool:
         """A value of the capture at `stamp_s`; whether it could be placed."""
         self._arrived_s = arrival_s
         moment = self._captured.pop(stamp_s, None)
@@ -72,7 +76,7 @@ class LateSensor:
             if self._in_lane:
                 turned -= moment.lane - last.moment.lane
             self._off.append(abs(angle_rad - last.angle_rad - turned))
-        self.events.append(Event(moment, angle_rad, other, way))
+        self.events.append(Event(moment, angle_rad, other, way, sd_rad))
         while self.events[0].moment.stamp_s < moment.stamp_s - LONGEST_S - 1.0:
             self.events.popleft()
         return True

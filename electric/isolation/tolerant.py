@@ -19,6 +19,7 @@ from polemap.electric.estimators.base import (
     Estimator,
     Inputs,
     Value,
+    fix_spread,
     pair,
 )
 from polemap.electric.isolation import alone, families
@@ -179,9 +180,10 @@ class FaultTolerant:
         if isolator is not None:
             if kind in (CAMERA, GPS):
                 first, second = pair(kind, value)
-                isolator.arrived(kind, stamp_s, first, second, arrival_s)
+                sd_rad = fix_spread(value, 0.0, 0.0)[0] if kind == GPS else 0.0
+                isolator.arrived(kind, stamp_s, first, second, arrival_s, sd_rad)
                 if kind == GPS and self._course_off_rad:
-                    value = (self._course(isolator, first), second)
+                    value = (self._course(isolator, first), *value[1:])  # type: ignore[index]
             elif name not in isolator.heard:
                 isolator.heard.add(name)
             if self._faulty and (
