@@ -257,8 +257,7 @@ class ParticleFilter:
         if not self._trusted:
             self._calibration.interrupt()
         elif estimate.health.matched >= 2:
-            spread = self._assessment.learned_spread
-            self._calibration.learn_from_pose(stamp, estimate.pose, spread)
+            self._calibration.learn_from_pose(stamp, estimate.pose, self._assessment.learned_spread)
         return estimate
 
     def _mapped(self, scan: Detections, odometry_pose: Floats) -> Detections:

@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 _SHARE = 0.5
 # poles whose errors are kept, the last that were seen
 _MOST = 16
+# no pole is seen better than this, even where detector, map and settings say so
+_LEAST_FLOOR_M = 1e-4
 
 
 @dataclass(slots=True)
@@ -116,7 +118,9 @@ class PersistentErrors:
             return
         theirs = assignment[mine]
         count = len(mine)
-        seen = scan.covariance_m2.reshape(-1, 2, 2)[mine] + self.floor_m**2 * np.eye(2)
+        seen = scan.covariance_m2.reshape(-1, 2, 2)[mine] + max(
+            self.floor_m, _LEAST_FLOOR_M
+        ) ** 2 * np.eye(2)
         seen = rotate_covariance(seen, pose[2])
         mapped = landmarks.covariance_m2[theirs][:, [0, 2, 2, 1]].reshape(-1, 2, 2)
         arm = rotate(scan.points_vehicle_m.reshape(-1, 2)[mine], pose[2])

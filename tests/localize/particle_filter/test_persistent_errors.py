@@ -147,6 +147,17 @@ def test_only_the_last_poles_are_kept() -> None:
     assert np.isfinite(persistent.covariance).all()
 
 
+def test_poles_without_any_error_leave_a_covariance() -> None:
+    persistent = PersistentErrors(0.0)
+    rows = np.array([0, 1, 2])
+    exact = pole_detections(0.0, 0.0, POLES[rows], np.zeros((3, 2, 2)))
+    landmarks = _landmarks(rows)
+    landmarks.covariance_m2[:] = 0.0
+    persistent.add_scan(np.eye(3), exact, landmarks, np.zeros(3), np.arange(3, dtype=np.int32), 1.0)
+    assert (np.diag(persistent.covariance) < 1e-6).all()
+    at_least(persistent.covariance, np.eye(3))
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_neither_covariance_is_undercut(seed: int) -> None:
     rng = np.random.default_rng(seed)
