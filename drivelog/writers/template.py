@@ -90,7 +90,10 @@ def _drive_yaml(
         "  # from the rear to the front axle",
         "  # car: my_car.yaml  # instead: a car of `polemap estimate --list`, or a car file",
     ]
-    camera = ["camera:  # of the rectified pair; docs/drives.md has the keys of a raw one"]
+    camera = [
+        "camera:  # of the rectified pair; a raw one has, in place of the keys up to baseline_m,",
+        "  # calibration: camchain.yaml  # or [left.yaml, right.yaml]; see docs/calibration.md",
+    ]
     camera += _keys(CameraPart, skip="vehicle_from_camera")
     camera.append("  vehicle_from_camera:  # the left camera, from the rear axle on the ground")
     camera += [f"  {line}" for line in _keys(MountingPart)]
