@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MAX_POINTS = 1500
+# at 390 px across, nine points are 12 px high; letters of a title and of a legend in a line
+_PHONE_IN, _PHONE_TITLE, _PHONE_LEGEND = 4.1, 46, 66
 INK = "#1c2126"
 FAINT = "#8a929a"
 LINE = "#d4d9de"
@@ -90,6 +93,7 @@ class Picture:
         svg: a document of its own, light colours.
         png: the same, 150 dots per inch.
         inline: for the page, colours as CSS variables, ids unique in the page.
+        narrow: the same for a phone, laid out anew so that text keeps its size.
     """
 
     key: str
@@ -98,6 +102,7 @@ class Picture:
     svg: str
     png: bytes
     inline: str
+    narrow: str
 
 
 @contextmanager
@@ -121,8 +126,37 @@ def finish(figure: Figure, key: str, title: str, caption: str) -> Picture:
         vector, raster = io.StringIO(), io.BytesIO()
         figure.savefig(vector, format="svg", metadata={"Date": None, "Creator": None})
         figure.savefig(raster, format="png", dpi=150, facecolor="white")
+        _lay_out_narrow(figure)
+        narrow = io.StringIO()
+        figure.savefig(narrow, format="svg", metadata={"Date": None, "Creator": None})
     svg = vector.getvalue()
-    return Picture(key, title, caption, svg, raster.getvalue(), _inline(svg, key, title))
+    return Picture(
+        key,
+        title,
+        caption,
+        svg,
+        raster.getvalue(),
+        _inline(svg, key, title),
+        _inline(narrow.getvalue(), f"{key} narrow", title),
+    )
+
+
+def _lay_out_narrow(figure: Figure) -> None:
+    """As wide as a phone, its text as large as before; maps keep their shape."""
+    width, height = figure.get_size_inches()
+    even = any(axes.get_aspect() != "auto" for axes in figure.axes)
+    figure.set_size_inches(_PHONE_IN, height * _PHONE_IN / width if even else height)
+    for axes in figure.axes:
+        for place in ("left", "center", "right"):
+            if title := axes.get_title(loc=place):
+                axes.set_title(fill(title, _PHONE_TITLE), loc=place)
+    for legend in list(figure.legends):
+        labels = [text.get_text() for text in legend.get_texts()]
+        source = next(a for a in figure.axes if a.get_legend_handles_labels()[1] == labels)
+        legend.remove()
+        # beside each stands a sample of its line, about nine letters wide
+        widths = np.cumsum(sorted((len(label) + 9 for label in labels), reverse=True))
+        legend_above(source, columns=max(1, int(np.sum(widths <= _PHONE_LEGEND))))
 
 
 def tidy(axes: Axes, x: str, y: str, title: str = "") -> None:
