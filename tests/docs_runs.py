@@ -36,7 +36,7 @@ NEEDS: dict[str, dict[str, str]] = {
         "benchmarks/polemap/kitti_03_unmapped_poles.csv": "kitti/poles/03.csv",
         "monday": "monday", "friday": "friday",
     },
-    "place.md": {"drives/lap_1": "long_1", "drives/lap_2": "long_2"},
+    "place.md": {"drives/lap_1": "long_1", "drives/lap_2": "long_2", "drive": "long_2"},
     "recordings.md": {
         "monday": "bag_monday", "tuesday": "bag_friday", "drive.mcap": "drive_mcap",
     },

@@ -17,7 +17,7 @@ from polemap.drivelog.atomic import check_file
 from polemap.drivelog.errors import InputError
 from polemap.localize.config import for_car
 from polemap.localize.place.along import Found, find_along
-from polemap.localize.place.finder import WRONG_MOST, Search
+from polemap.localize.place.finder import WRONG_MOST, WRONG_MOST_HIGHEST, Search
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pattern_index.io import index_file
 from polemap.settings import load_settings
@@ -52,7 +52,12 @@ def command(
     ] = None,
     wrong_most: Annotated[
         float,
-        typer.Option("--wrong-most", min=1e-9, max=0.1, help="Share of claims that may be wrong."),
+        typer.Option(
+            "--wrong-most",
+            min=1e-9,
+            max=WRONG_MOST_HIGHEST,
+            help="Share of claims that may be wrong.",
+        ),
     ] = WRONG_MOST,
     lap: Annotated[str | None, typer.Option("--lap", help="A row of laps.csv.")] = None,
     workers: Annotated[
@@ -71,9 +76,9 @@ def command(
         polemap where drives/lap_2 --map city.parquet --at 30 --json
         polemap where drives/lap_2 --map campus.gpkg --picture place.png
 
-    Prints the place, how far had to be driven for it, the probability that it is wrong, and the
-    runner-up. The map's index of patterns is built beside it on first need. Exit code 0, too, where
-    no place can be claimed: it says so.
+    Prints the place, how far had to be driven for it, a bound on the probability that it is wrong,
+    and the runner-up. The map's index of patterns is built beside it on first need. Exit code 0,
+    too, where no place can be claimed: it says so.
     """
     settings = load_settings(config, set_values)
     check_picture(picture)
@@ -138,7 +143,7 @@ def _record(found: Found, index: PatternIndex) -> dict[str, Any]:
         "runner_up": None, "stamp_s": None, "frame": index.frame.to_dict(),
     }  # fmt: skip
     if search is None or not len(search.poses):
-        return record | {"wrong": 1.0, "wrong_at_most": 1.0, "poles": 0, "matched": 0}
+        return record | {"wrong_at_most": None, "bound": 1.0, "poles": 0, "matched": 0}
     if found.claimed:
         record |= _pose(search.poses[0]) | {
             "stamp_s": found.stamp_s,
@@ -148,7 +153,9 @@ def _record(found: Found, index: PatternIndex) -> dict[str, Any]:
         less = float(search.log_evidence[0] - search.log_evidence[1])
         record["runner_up"] = _pose(search.poses[1]) | {"log_evidence_less": less}
     return record | {
-        "wrong": search.wrong, "wrong_at_most": search.wrong_at_most,
+        # a probability of claims only; of others it says how far they are from being one
+        "wrong_at_most": search.wrong_at_most if found.claimed else None,
+        "bound": search.wrong_at_most,
         "poles": search.poles, "matched": int(search.matched[0]),
     }  # fmt: skip
 
@@ -169,14 +176,13 @@ def _told(found: Found, index: PatternIndex, wrong_most: float) -> str:
     rivals = _rivals(search)
     if not found.claimed:
         return (
-            f"no place can be claimed after {way}: the best, {place}, is wrong with probability "
-            f"{search.wrong:.2g}, by a cautious bound {search.wrong_at_most:.2g}, of which "
-            f"{wrong_most:g} is accepted; {poles}; {rivals}"
+            f"no place can be claimed after {way}: the bound of the best, {place}, is "
+            f"{search.wrong_at_most:.2g}, and {wrong_most:g} is asked for; {poles}; {rivals}"
         )
     sd_m = np.sqrt(np.linalg.eigvalsh(search.covariance[0, :2, :2])[-1])
     return (
         f"found after {way}: {place} in {index.frame}, sd {sd_m:.2f} m\n"
-        f"wrong with probability {search.wrong:.1g}; {poles}\n{rivals}"
+        f"wrong with a probability of {search.wrong_at_most:.2g} at most; {poles}\n{rivals}"
     )
 
 

@@ -47,7 +47,8 @@ def draw_place(index: PatternIndex, found: Found, path: Path) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="east, m", ylabel="north, m")
     axes.set_aspect("equal")
     axes.legend(loc="best")
+    bound = f", wrong with p < {search.wrong_at_most:.2g}" if found.claimed else ""
     said = "found" if found.claimed else "not claimed"
-    axes.set_title(f"{said} after {found.after_m:.0f} m, wrong with p = {search.wrong:.1g}")
+    axes.set_title(f"{said} after {found.after_m:.0f} m{bound}")
     with atomic_file(path) as part:
         figure.savefig(part, dpi=110)

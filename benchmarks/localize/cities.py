@@ -1,16 +1,18 @@
 """Cities of poles, drawn in seconds, and what a car sees of them: for search and maps of any size.
 
-    python -m benchmarks.localize.cities POLES OUT [SEED]
+    python -m benchmarks.localize.cities POLES MAP [SEED] [--drive DRIVE] [--start NUMBER]
 
-writes a city's map. A city is a lattice of bent streets. Beside them stand poles with irregular
-gaps and lamps, or the trees of an avenue at equal distances; at crossings signals; in some blocks
-parks, or the lamps of a car park in a grid. A few quarters were planned: there every street repeats
-the same pattern, every other one mirrored, and only what chance made of it differs. Not timed, so
-`python -m benchmarks` leaves it out.
+writes a city's map, and the drive of a car through 150 m of its streets some years later. A city is
+a lattice of bent streets. Beside them stand poles with irregular gaps and lamps, or the trees of an
+avenue at equal distances; at crossings signals; in some blocks parks, or the lamps of a car park in
+a grid. A few quarters were planned: there every street repeats the same pattern, every other one
+mirrored, and only what chance made of it differs. Not timed, so `python -m benchmarks` leaves it
+out.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -288,6 +290,27 @@ def motion_along(poses: Floats, speed_mps: float) -> PointMotion:
     return PointMotion(stamps, states)
 
 
+def main() -> int:
+    """Write a city's map, and a drive where one is asked for."""
+    # imported here: they import this module
+    from benchmarks.localize.places import MAP_SD_M, drive_of
+    from polemap.drivelog.writers.folder import write_drive
+
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("poles", type=int)
+    parser.add_argument("map", type=Path)
+    parser.add_argument("seed", type=int, nargs="?", default=0)
+    parser.add_argument("--drive", type=Path)
+    parser.add_argument("--start", type=int, default=0)
+    asked = parser.parse_args()
+    made = make_city(asked.poles, asked.seed)
+    write_map(made.surveyed(MAP_SD_M, asked.seed), asked.map)
+    if asked.drive is not None:
+        write_drive(drive_of(made, asked.start), asked.drive)
+    return 0
+
+
 if __name__ == "__main__":
-    made = make_city(int(sys.argv[1]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)
-    write_map(made.surveyed(0.05, 0), Path(sys.argv[2]))
+    sys.exit(main())

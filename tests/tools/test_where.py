@@ -45,7 +45,7 @@ def test_the_place_is_told_with_what_speaks_for_it(
     truth = drive_in(0, 1)[1].at(told["stamp_s"])[0]
     assert told["found"] is True
     assert np.hypot(told["east_m"] - truth[0], told["north_m"] - truth[1]) < 0.5
-    assert told["wrong"] < 1e-3
+    assert told["wrong_at_most"] == told["bound"] < 1e-3
     assert told["runner_up"]["log_evidence_less"] > 10.0
     assert 0 < told["after_m"] < 100
     assert 0 < told["after_s"] < 13
@@ -54,6 +54,7 @@ def test_the_place_is_told_with_what_speaks_for_it(
     assert where(drive, "--map", pole_map, "--at", 5) == cli.GOOD
     said = capsys.readouterr()
     assert "found after" in said.out
+    assert "wrong with a probability of" in said.out
     assert "times less" in said.out
     assert said.err == ""  # the index is there by now
 
@@ -69,6 +70,9 @@ def test_no_place_in_another_town(
     assert where(drive, "--map", other, "--at", 7, "--json") == cli.GOOD
     told = json.loads(capsys.readouterr().out)
     assert (told["found"], told["east_m"], told["stamp_s"]) == (False, None, None)
+    # of what is not claimed no probability is stated
+    assert told["wrong_at_most"] is None
+    assert told["bound"] > 0.01
 
 
 def test_near_the_end_of_the_drive_nothing_is_known_yet(

@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
-from benchmarks.localize import city_growth
-from benchmarks.localize.cities import changed, make_city, motion_along, route
+from benchmarks.localize import city_growth, reliability, structures
+from benchmarks.localize.cities import City, changed, make_city, motion_along, route
 from benchmarks.localize.places import Start, drive_through, one_start, show
 from tests.localize.place.town import drive_in, index_of, town
 
@@ -47,15 +51,45 @@ def test_what_came_of_starts_is_told(capsys: pytest.CaptureFixture[str]) -> None
     assert drive.odometry is not None
     start = one_start(index_of(), drive.scans, drive.odometry, lambda s: motion.at(s)[0], 1)
     assert start.found
-    wrong = Start(2, True, 30.0, 80.0, 3.0, (1e-4,), (False,), (9.0,))
+    wrong = Start(2, True, 30.0, 80.0, 3.0, 1e-4, (9.0,))
     assert not wrong.found
     show("town", [start, wrong])
     told = capsys.readouterr().out
     assert "town: 2 starts, 1 found, 1 claimed wrongly [(2, 80.0, 3.0)]" in told
-    assert "stated 0 to 0.001" in told
     scans, odometry, _ = drive_through(town(0), 5)
     assert len(scans) > 100
     assert len(odometry) > 900
+
+
+def test_claims_are_the_first_search_of_a_drive_that_is_accepted(tmp_path: Path) -> None:
+    def row(start: int, after_m: float, bound: float, off_m: float | None) -> reliability.Row:
+        return reliability.Row("orchard", 1, start, off_m is not None, after_m, bound, off_m)
+
+    rows = [row(1, 20.0, 0.5, 9.0), row(1, 25.0, 0.05, 9.0), row(1, 30.0, 2e-4, 0.1),
+            row(2, 20.0, 0.02, None)]  # fmt: skip
+    assert [one.bound for one in reliability.claims(rows, 0.1)] == [0.05, 0.02]
+    assert [one.wrong for one in reliability.claims(rows, 0.1)] == [True, True]
+    assert [one.wrong for one in reliability.claims(rows, 1e-3)] == [False]
+    told = reliability.table(rows).splitlines()
+    assert told[2].startswith("| 0.001 | 0 of 0 |")
+    assert told[2].endswith("| 0 of 1, 0.0002 |")
+    assert told[-1].endswith("| 2 of 2, 0.035 |")
+    assert reliability.known(tmp_path / "none.jsonl") == []
+    (tmp_path / "rows.jsonl").write_text("".join(json.dumps(asdict(one)) + "\n" for one in rows))
+    assert reliability.known(tmp_path / "rows.jsonl") == rows
+
+
+@pytest.mark.parametrize("made", [structures.estates, structures.lattice, structures.orchard])
+def test_cities_of_other_structures_have_streets_between_their_poles(
+    made: Callable[[int, int], City],
+) -> None:
+    city = made(3000, 3)
+    assert len(city) == pytest.approx(3000, rel=0.3)
+    np.testing.assert_array_equal(city.points_m, made(3000, 3).points_m)
+    for street in (city.nodes_m, city.nodes_m.swapaxes(0, 1)):
+        middle = 0.5 * (street[:, 1:] + street[:, :-1]).reshape(-1, 2)
+        free = KDTree(city.points_m).query(middle)[0] > 2.0
+        assert free.mean() > 0.97  # of poles
 
 
 def test_growth_keeps_its_figures_by_size_and_draws_them(tmp_path: Path) -> None:
