@@ -26,7 +26,9 @@ Whole = NDArray[np.int64]
 NEIGHBOURS = 8
 """Of which pairs are taken: more than in the map, since some of them are false and some lacking."""
 _SIDE_SD_MOST_M = 0.4
-_REACHED_SD = 2.0  # sides are asked for within so many standard deviations
+# sides are asked for within so many standard deviations; in maps of more triangles within fewer:
+# one triangle's hits grow with the cube, and of many triangles more hits are true ones
+_REACHED_SD, _REACHED_SD_LEAST, _WIDELY = 2.0, 1.0, 1_000_000
 _HITS_MOST = 120_000
 _BIN_M = 3.0
 _YAW_BITS = 6
@@ -54,7 +56,7 @@ def propose(index: PatternIndex, local: LocalMap, most: int) -> Proposals:
     asked, sd = _asked(local, index.sd_typical_m)
     if not len(asked) or not index.triangles:
         return none
-    tolerance = _REACHED_SD * sd
+    tolerance = _reached_sd(index.triangles) * sd
     low = quantised(asked.sides_m - tolerance)
     high = quantised(asked.sides_m + tolerance)
     first, stop, query = index.ranges(low, high)
@@ -74,6 +76,12 @@ def propose(index: PatternIndex, local: LocalMap, most: int) -> Proposals:
     poses, votes = _counted(place, yaw, rarity[hits.query], most)
     poses[:, :2] += rotate(-centre, poses[:, 2])
     return Proposals(poses, votes)
+
+
+def _reached_sd(triangles_mapped: int) -> float:
+    """So that the hits of a triangle are as many in every map that has more than `_WIDELY`."""
+    fewer = (_WIDELY / max(triangles_mapped, _WIDELY)) ** (1.0 / 3.0)
+    return max(_REACHED_SD * fewer, _REACHED_SD_LEAST)
 
 
 def _chosen(corners: Whole, count: Whole) -> NDArray[np.bool_]:

@@ -3,12 +3,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from polemap.drivelog.detections import VisibleRegion
 from polemap.localize.place.coverage import Coverage, seen_ground
 from polemap.localize.place.evidence import judge, misses
 from polemap.localize.place.local_map import LocalMap, LocalMapBuilder
-from polemap.localize.place.proposals import propose
+from polemap.localize.place.proposals import _reached_sd, propose
 from polemap.localize.place.regularity import chance_density
 from polemap.map.pattern_index.build import build_index
 from polemap.vehicle.pose import inverse_transform_points, transform_points, wrap_angle
@@ -107,3 +108,10 @@ def test_evidence_does_not_depend_on_where_the_map_lies() -> None:
     np.testing.assert_allclose(one.log_ratio, two.log_ratio, atol=1e-3)
     back = inverse_transform_points(move, two.poses[0, :2])
     np.testing.assert_allclose(back, one.poses[0, :2], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("mapped", "sd"), [(0, 2.0), (1_000_000, 2.0), (6_000_000, 1.1), (60_000_000, 1.0)]
+)
+def test_the_larger_the_map_the_nearer_its_triangles_must_be(mapped: int, sd: float) -> None:
+    assert _reached_sd(mapped) == pytest.approx(sd, abs=0.01)
