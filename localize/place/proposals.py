@@ -80,7 +80,7 @@ def propose(index: PatternIndex, local: LocalMap, most: int) -> Proposals:
 
 def _reached_sd(triangles_mapped: int) -> float:
     """So that the hits of a triangle are as many in every map that has more than `_WIDELY`."""
-    fewer = (_WIDELY / max(triangles_mapped, _WIDELY)) ** (1.0 / 3.0)
+    fewer = float(np.cbrt(_WIDELY / max(triangles_mapped, _WIDELY)))
     return max(_REACHED_SD * fewer, _REACHED_SD_LEAST)
 
 
