@@ -22,7 +22,8 @@ class GrowingBytes:
         cut: whether the stream ended inside a piece that was asked for.
 
     Raises:
-        InputError: the file is missing, or becomes shorter than what was read of it.
+        InputError: the file is missing, becomes shorter than what was read of it, or another takes
+            its place.
     """
 
     def __init__(self, source: str, stop: Event, idle_s: float | None = None) -> None:
@@ -92,7 +93,7 @@ class GrowingBytes:
                 return True
             if self._path is None:
                 return False  # the other end of the pipe is closed
-            self._check_length()
+            self._check_same(self._path)
             if self._idle_s is not None and waited_s >= self._idle_s:
                 return False
             self._stop.wait(_LOOK_S)
@@ -104,10 +105,20 @@ class GrowingBytes:
             return os.read(self._file.fileno(), _BLOCK)
         return self._file.read(_BLOCK) or b""
 
-    def _check_length(self) -> None:
-        size = os.fstat(self._file.fileno()).st_size
-        if size < self._read_bytes:
+    def _check_same(self, path: Path) -> None:
+        """What was opened will grow no more where another recording is written instead."""
+        opened = os.fstat(self._file.fileno())
+        if opened.st_size < self._read_bytes:
             raise InputError(
-                f"{self._name}: has become shorter ({size} bytes, {self._read_bytes} were read); "
-                "another recording is written over it: start again"
+                f"{self._name}: has become shorter ({opened.st_size} bytes, {self._read_bytes} "
+                "were read); another recording is written over it: start again"
+            )
+        try:
+            named = path.stat()
+        except OSError:
+            return  # moved or deleted: its writer may still go on
+        if not os.path.samestat(named, opened):
+            raise InputError(
+                f"{self._name}: another file has taken its place after {self._read_bytes} bytes: "
+                "start again"
             )

@@ -57,6 +57,23 @@ def test_a_file_that_is_written_over_is_told(tmp_path: Path) -> None:
         GrowingBytes(str(tmp_path / "missing"), Event())
 
 
+def test_a_file_whose_place_another_takes_is_told(tmp_path: Path) -> None:
+    place, other = tmp_path / "growing", tmp_path / "other"
+    place.write_bytes(b"abcdef")
+    other.write_bytes(b"ghijklmn")
+    source = GrowingBytes(str(place), Event(), idle_s=0.1)
+    assert source.read(6) == b"abcdef"
+    other.replace(place)
+    with pytest.raises(InputError, match="another file has taken its place after 6 bytes"):
+        source.read(1)
+    # one that is moved away may still grow
+    source = GrowingBytes(str(place), Event(), idle_s=0.1)
+    with place.open("ab") as writer:
+        place.rename(other)
+        writer.write(b"op")
+    assert source.read(11) == b"ghijklmnop"
+
+
 def test_lines_come_whole_or_in_pieces_of_the_limit(tmp_path: Path) -> None:
     place = tmp_path / "lines"
     place.write_bytes(b"one\n" + b"x" * 25 + b"\nlast")
