@@ -12,6 +12,7 @@ from polemap.drivelog.plausibility import (
     absolute,
     accuracy,
     antenna,
+    breaks,
     detector_place,
     fix_delay,
     motion,
@@ -32,8 +33,10 @@ from polemap.drivelog.plausibility.odometer import (
     of_places,
     of_reference,
 )
-from polemap.drivelog.source_names import SourceNames
 from polemap.vehicle.pose import rotate
+
+# an offset beyond this may be a round of a drive in laps
+_ROUND_S, _CLEARLY_NEARER = 5.0, 2.0
 
 
 def check_drive(drive: Drive) -> list[Finding]:
@@ -45,13 +48,18 @@ def check_drive(drive: Drive) -> list[Finding]:
     """
     found = list(drive.findings)
     found += time.rate_findings(drive) + time.overlap_findings(drive)
+    found += breaks.coverage_findings(drive, time.stamps_of(drive))
     found += time.gap_findings(drive) + rows.row_findings(drive)
     found += resolution.resolution_findings(drive)
+    found += breaks.sparse_findings(drive)
+    if not any(f.kind == "reference_held" for f in found):
+        found += breaks.jump_findings(drive)
     found += absolute.duplicate_findings(drive) + absolute.vehicle_findings(drive)
     found += steering.wheelbase_findings(drive)
     found += absolute.camera_findings(drive)
     found += absolute.gnss_findings(drive) + absolute.pole_findings(drive)
-    found += places.zone_findings(drive) + places.distance_findings(drive)
+    of_places = places.zone_findings(drive) + places.distance_findings(drive)
+    found += of_places or breaks.drift_findings(drive)
     found += _motion(drive)
     return _once(worst_first(found))
 
@@ -81,8 +89,8 @@ def _motion(drive: Drive) -> list[Finding]:
                 # the yaw is wrong: the positions alone still tell way and turn
                 stamps, points = drive.reference.stamp_s, drive.reference.poses[:, :2]
                 trusted = of_places(names.reference, stamps, points, 1.0)
-            mirrored = any(f.kind == "reference_axes" for f in yaw_found + found)
-            trusted = yawed if mirrored else trusted
+            if any(f.kind == "reference_axes" for f in yaw_found + found):
+                trusted = yawed
     trusted = _moving(trusted)
     frozen = stretches.frozen_speed(drive, trusted if trusted is not None else gnss)
     if frozen:
@@ -96,10 +104,12 @@ def _motion(drive: Drive) -> list[Finding]:
     odometry, trusted, gnss = (time.shifted(track, offset) for track in (odometry, trusted, gnss))
     if posed_well and odometry is not None and trusted is not None and not found:
         found += reference.across_findings(odometry, trusted)
-    found += _scales(names, odometry, trusted, gnss)
+    of_scales = _scales(drive, odometry, trusted, gnss)
+    mirrored = any(f.kind == "reference_axes" for f in of_scales)
+    found += of_scales
     if not any(f.stream == names.odometry and f.severity == "error" for f in found):
         found += absolute.odometry_findings(drive)
-    teller = trusted if posed_well else odometry
+    teller = trusted if posed_well and not mirrored else odometry
     found += stretches.frozen_fixes(drive, teller)
     if teller is None:
         return found
@@ -137,17 +147,22 @@ def _places_contradict(drive: Drive, offset: time.Offset) -> bool:
         )
     )
     both = np.isfinite(told) & np.isfinite(moved)
-    return bool(both.sum() > 5 and np.median(told[both]) < np.median(moved[both]))
+    if both.sum() <= 5:
+        return False
+    # a clock that is seconds off shows in the places by more than a bend that another round has
+    ratio = _CLEARLY_NEARER if abs(offset.late_s) > _ROUND_S else 1.0
+    return bool(np.median(told[both]) < ratio * np.median(moved[both]))
 
 
 def _scales(
-    names: SourceNames,
+    drive: Drive,
     odometry: Odometer | None,
     trusted: Odometer | None,
     gnss: Odometer | None,
 ) -> list[Finding]:
     """Scales of speed and turn; fixes tell whether odometry or reference is off."""
     found = []
+    names = drive.names
     if odometry is None:
         if trusted is not None and gnss is not None:
             scales = motion.find_scales(trusted, gnss)
@@ -182,9 +197,17 @@ def _scales(
             return motion.speed_findings(stream, inverse, against, noisy=False)
     found += motion.speed_findings(stream, scales, against, noisy=noisy, turn_alike=alike)
     if not alike:
-        found += motion.turn_findings(stream, scales, against, noisy=noisy)
+        of_turns = motion.turn_findings(stream, scales, against, noisy=noisy)
+        signs = any(f.kind == "yaw_rate_sign" for f in of_turns)
+        if signs and judge is trusted and poles.contradicted(drive, judge, odometry) is judge:
+            return [*found, reference.mirrored_finding(names, scales.turn)]
+        found += of_turns
     if not found:
         found += stretches.disagreeing_stretches(odometry, judge, gnss)
+    if not found and not noisy:
+        found += stretches.disagreeing_turns(
+            odometry, judge, lambda mine, theirs: poles.contradicted(drive, theirs, mine)
+        )
     return found
 
 

@@ -25,6 +25,9 @@ _SPEED_SD_MPS, _TURN_SD_RADPS = 0.4, 0.02
 _CORRELATION_MIN = 0.85
 # a peak with this share of the highest score explains the motion as well
 _AS_GOOD = 0.8
+# stretches that tell the same motion with no lag at all; beyond the lag that they still allow,
+# a part of the drive that is damaged makes another round fit better
+_WINDOW_S, _WINDOWS_MIN, _ALIKE_SHARE, _ALIKE_LAG_S = 10.0, 3, 0.5, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,8 @@ def find_lag(
         if found is not None:
             scores[row], best[row] = found
             samples[row] = (high - low) * step / width
+    if _mostly_alike(values_a, values_b, shift, round(_WINDOW_S / step)):
+        scores[np.abs(lags * step + rest) > _ALIKE_LAG_S] = -np.inf
     if not np.isfinite(scores).any():
         return None
     top = _nearest_peak(scores, lags, samples)
@@ -100,21 +105,39 @@ def _series(track: Odometer, step: float, width: float) -> tuple[float, Floats] 
     return float(middle[0]), np.stack([way, turn], axis=1) / width
 
 
-def _explained(a: Floats, b: Floats) -> tuple[float, float] | None:
-    """Nats a sample that the one series tells about the other, and the larger correlation."""
-    total, largest = 0.0, 0.0
-    moving = False
+def _explained(a: Floats, b: Floats, *, every: bool = False) -> tuple[float, float] | None:
+    """Nats a sample that the one series tells about the other, and the larger correlation.
+
+    Args:
+        every: the smaller correlation instead: speed and turn rate must both agree.
+    """
+    total, correlations = 0.0, []
     for column, sd in enumerate((_SPEED_SD_MPS, _TURN_SD_RADPS)):
         x, y = a[:, column], b[:, column]
         sx, sy = float(x.std()), float(y.std())
         # the scale of either may be wrong: the motion must show in relation to its own mean too
         if min(sx, sy) <= 0.0 or max(sx, sy) < sd:
             continue
-        moving = True
         rho = float(np.mean((x - x.mean()) * (y - y.mean())) / (sx * sy))
         total -= 0.5 * np.log(max(1.0 - rho * rho, 1e-4))
-        largest = max(largest, abs(rho))
-    return (total, largest) if moving else None
+        correlations.append(abs(rho))
+    if not correlations:
+        return None
+    return total, min(correlations) if every else max(correlations)
+
+
+def _mostly_alike(a: Floats, b: Floats, shift: int, window: int) -> bool:
+    """Whether most stretches of a moving car agree with no lag: then no lag of seconds is true."""
+    low, high = max(0, shift), min(len(a), len(b) + shift)
+    told = alike = 0
+    for start in range(low, high - window + 1, window):
+        found = _explained(
+            a[start : start + window], b[start - shift : start - shift + window], every=True
+        )
+        if found is not None:
+            told += 1
+            alike += found[1] > _CORRELATION_MIN
+    return told >= _WINDOWS_MIN and alike >= _ALIKE_SHARE * told
 
 
 def _nearest_peak(scores: Floats, lags: NDArray[np.int64], samples: Floats) -> int:

@@ -41,7 +41,8 @@ _MEET_M = 2.0
 class Mistake:
     """A motion as it would be if something were wrong: factors on way and turn; other axes.
 
-    `axes` has the rows of the matrix that brings points as given to x ahead, y left.
+    `axes` has the rows of the matrix that brings points as given to x ahead, y left; `oriented`
+    are points that do not turn with the car, but lie by the axes of a map.
     """
 
     kind: str
@@ -49,6 +50,7 @@ class Mistake:
     way: float = 1.0
     turn: float = 1.0
     axes: tuple[tuple[int, int], tuple[int, int]] | None = None
+    oriented: bool = False
 
 
 AS_TOLD = Mistake("", "")
@@ -59,6 +61,15 @@ MISTAKES = (
     Mistake("pole_axes", "fit with x and y exchanged", axes=((0, 1), (1, 0))),
     Mistake("pole_axes", "fit with x to the right and y ahead", axes=((0, 1), (-1, 0))),
     Mistake("pole_axes", "fit with x to the left and y backward", axes=((0, -1), (1, 0))),
+    Mistake(
+        "pole_axes",
+        "fit with x and y along fixed directions, such as east and north",
+        oriented=True,
+    ),
+    Mistake("pole_speed", "fit a speed 2 times larger (they are twice as far)", way=2.0),
+    Mistake("pole_speed", "fit a speed 2 times smaller (they are half as far)", way=0.5),
+    Mistake("pole_speed", "fit a speed 1.3 times larger", way=1.3),
+    Mistake("pole_speed", "fit a speed 1.3 times smaller", way=1 / 1.3),
     Mistake("pole_speed", "fit a speed 3.6 times smaller (km/h)", way=1 / 3.6),
     Mistake("pole_speed", "fit a speed 3.6 times larger", way=3.6),
     Mistake("pole_speed", "fit a speed 2.24 times smaller (mph)", way=0.44704),
@@ -95,6 +106,16 @@ class Scans:
         turn = np.array(axes, dtype=np.float64)
         return Scans(
             self.stamp_s, self.points_m @ turn.T, turn @ self.covariance_m2 @ turn.T, self.there
+        )
+
+    def turned(self, motion: Odometer) -> Scans:
+        """As they are when the points as given lie by the axes that the heading counts from."""
+        heading = np.interp(self.stamp_s, motion.stamp_s, motion.heading_rad)[:, None]
+        return Scans(
+            self.stamp_s,
+            rotate_back(self.points_m, heading),
+            rotate_covariance(self.covariance_m2, -heading),
+            self.there,
         )
 
 
@@ -163,6 +184,8 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     first, second = pairs.first, pairs.second
     if mistake.axes is not None:
         first, second = first.in_axes(mistake.axes), second.in_axes(mistake.axes)
+    if mistake.oriented:
+        first, second = first.turned(motion), second.turned(motion)
     moved = rotate_back(first.points_m - moves[..., :2], moves[..., 2])
     spread = rotate_covariance(first.covariance_m2, -turn[:, None])
     total = spread[:, :, None] + second.covariance_m2[:, None] + _FLOOR_M2 * np.eye(2)

@@ -13,6 +13,7 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad
 from polemap.drivelog.plausibility.jitter import without_jitter
 from polemap.drivelog.plausibility.odometer import Odometer, common_spans
+from polemap.drivelog.source_names import SourceNames
 from polemap.drivelog.streams import ReferenceStream
 from polemap.vehicle.pose import rotate_back, wrap_angle
 
@@ -132,6 +133,18 @@ def yaw_findings(drive: Drive, chords: Chords, turn_ratio: float) -> list[Findin
             expected, "check the yaw's convention and the alignment of the reference system",
         )
     ]  # fmt: skip
+
+
+def mirrored_finding(names: SourceNames, turn_ratio: float) -> Finding:
+    """Positions and yaws of a left-handed frame: odometry and poles turn the other way."""
+    return Finding(
+        "reference_axes", "error", names.reference,
+        f"it turns against {names.odometry} (ratio {turn_ratio:.3g}), with which {names.poles} "
+        "agrees: its frame is left-handed",
+        "east to the east, north to the north, yaw counter-clockwise from east",
+        "exchange east and north (as of NED) and write pi/2 - yaw, or change the sign of one axis "
+        "and of the yaw",
+    )  # fmt: skip
 
 
 def _constant_findings(drive: Drive, chords: Chords) -> list[Finding]:

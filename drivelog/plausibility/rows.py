@@ -93,15 +93,18 @@ def _accuracy(drive: Drive) -> list[Finding]:
 
 
 def _no_fixes(drive: Drive) -> list[Finding]:
-    count = drive.problems.get("gnss_fix_at_zero", 0)
-    if not count:
-        return []
+    names = drive.names
+    told = {
+        "gnss_no_fix": (drive.problems.get("gnss_at_zero", 0), names.gnss),
+        "reference_no_pose": (drive.problems.get("reference_at_zero", 0), names.reference),
+    }
     return [
         Finding(
-            "gnss_no_fix", "warning", drive.names.gnss,
-            f"{count} fixes at 0, 0, far from the others (left out)", "rows with a fix alone",
-            "leave the rows out in which the receiver had no fix",
+            kind, "warning", name, f"{count} rows at 0, 0, far from the others (left out)",
+            "rows with a fix alone", "leave the rows out in which the receiver had no fix",
         )
+        for kind, (count, name) in told.items()
+        if count
     ]  # fmt: skip
 
 

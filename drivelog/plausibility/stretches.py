@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import log
 
@@ -18,6 +19,8 @@ _SPAN_S = 10.0
 # clean drives: ways over ten seconds within 5 %, of fixes within 25 % but for their jumps
 _WAY_MIN_M, _RATIO, _STRETCHES, _SHARE = 15.0, 1.25, 2, 0.05
 _NOISY_WAY_MIN_M, _NOISY_RATIO, _NOISY_STRETCHES, _NOISY_SHARE = 40.0, 1.6, 3, 0.2
+# clean drives: turns over ten seconds within 12 degrees
+_TURN_WAY_MIN_M, _TURN_RAD, _TURN_SHARE, _TURN_TOTAL = 5.0, np.radians(30.0), 0.25, 4
 # a yaw rate from steering is off by 0.005 rad/s, a gyro by less
 _OFFSET_RADPS, _OFFSET_SPANS = 0.02, 3
 _SAME_ROWS, _VARIES = 50, 1.3
@@ -108,6 +111,42 @@ def disagreeing_stretches(
             f"in {count} of {total} stretches of {_SPAN_S:.0f} s its way is not that of "
             f"{other.name}; from {starts[first]:.3f} s {mine[first]:.0f} m instead of "
             f"{theirs[first]:.0f} m", f"within {100 * (ratio - 1):.0f} %",
+            "cut the recording there, or mend the sensor that stuck",
+        )
+    ]  # fmt: skip
+
+
+def disagreeing_turns(
+    odometry: Odometer, judge: Odometer, suspect: Callable[[Odometer, Odometer], Odometer]
+) -> list[Finding]:
+    """Turns over ten seconds that differ in some stretches while the most agree.
+
+    Args:
+        judge: poses, not fixes: these turn by their noise.
+        suspect: which of the two is at fault.
+    """
+    starts = span_starts(judge, _SPAN_S)
+    way, turn_a, known_a = odometry.spans(starts, starts + _SPAN_S)
+    _, turn_b, known_b = judge.spans(starts, starts + _SPAN_S)
+    moving = known_a & known_b & (np.abs(way) > _TURN_WAY_MIN_M)
+    starts, turn_a, turn_b = starts[moving], turn_a[moving], turn_b[moving]
+    off = np.abs(turn_a - turn_b) > np.maximum(
+        _TURN_RAD, _TURN_SHARE * np.maximum(np.abs(turn_a), np.abs(turn_b))
+    )
+    count, total = int(off.sum()), len(off)
+    if not count or total < _TURN_TOTAL or count > 0.5 * total:
+        return []
+    first = int(np.flatnonzero(off)[0])
+    stream, other = odometry, judge
+    if suspect(odometry, judge) is judge:
+        stream, other, turn_a, turn_b = judge, odometry, turn_b, turn_a
+    mine, theirs = np.degrees(turn_a[first]), np.degrees(turn_b[first])
+    return [
+        Finding(
+            "turn_stretch", "warning", stream.name,
+            f"in {count} of {total} stretches of {_SPAN_S:.0f} s its turn is not that of "
+            f"{other.name}; from {starts[first]:.3f} s {mine:.0f} degrees instead of {theirs:.0f}",
+            f"within {np.degrees(_TURN_RAD):.0f} degrees",
             "cut the recording there, or mend the sensor that stuck",
         )
     ]  # fmt: skip

@@ -13,7 +13,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
 from polemap.drivelog.readers.drive_yaml import LONGEST_NAME
-from polemap.drivelog.readers.given import is_given, row_findings, without_zero_fixes
+from polemap.drivelog.readers.given import is_given, row_findings, without_zero_places
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import (
     GnssStream,
@@ -56,8 +56,8 @@ def _sensor(
 ) -> Table:
     table = read_table(path, ("stamp_s", *columns), optional=optional)
     table = in_order(table, findings, duplicates="drop")
-    if path.name == "gnss.csv":
-        table = without_zero_fixes(table, columns)
+    if path.name in ("gnss.csv", "reference.csv"):
+        table = without_zero_places(table, columns[:2])
     findings += row_findings(table)
     return count_problems(table, problems)
 

@@ -13,7 +13,7 @@ from polemap.drivelog.tables import Table
 
 _LOST_MAX = 0.01
 # left out for when they came, or with a finding of their own
-_APART = ("duplicate_stamps", "stamp_far_from_rest", "fix_at_zero")
+_APART = ("duplicate_stamps", "stamp_far_from_rest", "at_zero")
 # of latitude and longitude zero from the other fixes, in degrees as in metres
 _ZERO_APART = {"latitude_deg": 0.01, "east_m": 100.0}
 
@@ -59,11 +59,11 @@ def row_findings(table: Table) -> list[Finding]:
     ]  # fmt: skip
 
 
-def without_zero_fixes(table: Table, columns: tuple[str, ...]) -> Table:
-    """The fixes without those at 0, 0 that stand far from the others: the receiver had none.
+def without_zero_places(table: Table, columns: tuple[str, ...]) -> Table:
+    """The rows without those at 0, 0 that stand far from the others: the receiver had no fix.
 
     Args:
-        table: the rows of gnss.csv.
+        table: the rows of gnss.csv or reference.csv.
         columns: the two that name the place.
     """
     points = np.stack([table[name] for name in columns], axis=1)
@@ -76,4 +76,4 @@ def without_zero_fixes(table: Table, columns: tuple[str, ...]) -> Table:
     nearest = np.stack([others[np.clip(after + k, 0, len(others) - 1)] for k in (-1, 0)])
     far = np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=0) > _ZERO_APART[columns[0]]
     zero[np.flatnonzero(zero)[~far]] = False
-    return table.keep(~zero, "fix_at_zero")
+    return table.keep(~zero, "at_zero")

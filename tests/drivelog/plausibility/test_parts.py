@@ -246,7 +246,7 @@ def test_fixes_at_zero_are_left_out_and_said(folder: Path, every: int) -> None:
     for name in ("latitude_deg", "longitude_deg"):
         _column(folder / "gnss.csv", name, lambda n, row: 0 if n % every == 3 else row[name])  # noqa: B023
     drive = open_drive(folder)
-    count = drive.problems["gnss_fix_at_zero"]
+    count = drive.problems["gnss_at_zero"]
     assert count == len(range(3, len(drive.gnss) + count, every))
     assert [f.kind for f in check_drive(drive)] == ["gnss_no_fix"]
 
