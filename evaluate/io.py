@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def open_routes(
     """
     grouped: dict[tuple[str, str | None], dict[str, RunSet]] = {}
     for one in run_sets:
-        key = (str(one.drive.resolve() if one.drive else one.path.resolve()), one.lap)
+        key = (os.path.realpath(one.drive or one.path), one.lap)
         settings = grouped.setdefault(key, {})
         settings[unused_name(one.name, settings) if settings else ""] = one
     recordings, notes = [], []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -52,7 +53,7 @@ def write_mapping(inputs: Sequence[Path], out: Path, given: Path | None) -> list
 def to_folder(request: Request) -> list[str]:
     """A plain drive folder of logs, if what it says can be right."""
     check_folder(request.out, "drive", _inputs(request))
-    made = _converted(request, request.out.resolve().name)
+    made = _converted(request, Path(os.path.realpath(request.out)).name)
     if set(made.streams) == {SIGNALS}:
         raise ConfigError(
             f"convert: the mapping has signals alone, which are no drive; --out {request.out}.csv "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -45,7 +46,7 @@ def check_learn(out: Path, map_file: Path | None, runs: int, inputs: Sequence[Pa
             f"{map_file}: a map of tiles is brought up to date by 'polemap map --update'; --learn "
             "adds to a map of one file"
         )
-    if out.resolve() == map_file.resolve():
+    if os.path.realpath(out) == os.path.realpath(map_file):
         raise ConfigError(f"--learn {out}: that is the map itself; name a copy of it")
     check_files([out], inputs)
     check_writable(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +42,7 @@ class MapJob:
     @property
     def mapping(self) -> str | None:
         """The file that maps topics, found from every process."""
-        return None if self.topics is None else str(self.topics.resolve())
+        return None if self.topics is None else os.path.realpath(self.topics)
 
     @property
     def checkpoints(self) -> Path:
@@ -92,7 +93,7 @@ def _build_in_processes(job: MapJob, drives: list[Drive]) -> BuiltMap:
     text = job.settings.model_dump_json()
     tasks = [
         DriveTask(
-            str(path.resolve()), name, job.lap, job.seed, frame, text, job.mapping, job.odometry
+            os.path.realpath(path), name, job.lap, job.seed, frame, text, job.mapping, job.odometry
         )
         for path, name in zip(job.paths, unique_names(drives), strict=True)
     ]

@@ -46,7 +46,7 @@ def command(
     seen (green). Beside X.mcap goes X.layout.json, which arranges Foxglove's panels.
     """
     if out is None and not has_display():
-        out = Path(f"{run_folder.resolve().name}.rrd")
+        out = Path(f"{Path(os.path.realpath(run_folder)).name}.rrd")
         typer.echo(f"no display on this computer: writing {out} instead of opening the viewer")
     inputs = (run_folder, drive, map_file, cache)
     for line in record_run(run_folder, out, drive, map_file, run, cache, inputs, workers):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -60,7 +61,8 @@ def write_template(
     """
     check_new(path)
     with atomic_folder(path, "drive") as folder:
-        text = _drive_yaml(path.resolve().name, frame, wheelbase_m, sensors, allow_links)
+        own_name = os.path.basename(os.path.realpath(path))
+        text = _drive_yaml(own_name, frame, wheelbase_m, sensors, allow_links)
         (folder / "drive.yaml").write_text(text, encoding="utf-8")
         for name in sensors:
             columns = required_columns(name, frame or EarthFrame("utm", 32632))

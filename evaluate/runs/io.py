@@ -110,7 +110,7 @@ class RunSet:
     @property
     def name(self) -> str:
         """The folder's name, which is what the user calls this run."""
-        return self.path.resolve().name
+        return Path(os.path.realpath(self.path)).name
 
     @property
     def drive(self) -> Path | None:
@@ -142,7 +142,7 @@ class RunSet:
         # os.path: a name that no system can have does not exist either
         if path.is_absolute() or os.path.exists(path):
             return path
-        above = (parent / path for parent in self.path.resolve().parents)
+        above = (parent / path for parent in Path(os.path.realpath(self.path)).parents)
         return next((place for place in above if os.path.exists(place)), path)
 
 

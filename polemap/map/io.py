@@ -25,6 +25,7 @@ from polemap.map.city.stored import CITY_POLES
 from polemap.map.crowds import check_crowds
 from polemap.map.formats import geojson, opendrive, osm
 from polemap.map.formats.columns import KNOWN, from_columns
+from polemap.map.formats.geopackage.layers import check_layers
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError, named
 from polemap.parsing.json_text import read_json
@@ -39,6 +40,7 @@ def check_writable(path: Path) -> None:
 
     Raises:
         InputError: the ending is none of ours.
+        OutputError: a GeoPackage that holds other layers stands there.
         MissingExtraError: the format needs a package that is not installed.
     """
     if Path(path).suffix.lower() not in _WRITERS:
@@ -46,6 +48,8 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: a map is written as one of {known}; choose such an ending")
     if Path(path).suffix.lower() == ".parquet":
         check_installed("pyarrow")
+    if Path(path).suffix.lower() == ".gpkg":
+        check_layers(Path(path))
 
 
 def export_map(pole_map: PoleMap, path: Path) -> None:
@@ -60,6 +64,8 @@ def export_map(pole_map: PoleMap, path: Path) -> None:
     if path.suffix.lower() not in writers:
         known = ", ".join(sorted(writers))
         raise InputError(f"{path}: a map is exported as one of {known}; choose such an ending")
+    if path.suffix.lower() == ".gpkg":
+        check_layers(path)
     _write(pole_map, path, writers[path.suffix.lower()])
 
 

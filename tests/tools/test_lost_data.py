@@ -6,6 +6,7 @@ import hashlib
 import shutil
 from pathlib import Path
 
+import pyogrio
 import pytest
 
 from polemap.drivelog.atomic import reserved
@@ -133,6 +134,58 @@ def test_a_result_never_replaces_an_input_or_the_users_own(
     )
     assert any(remedy in error for remedy in remedies)
     assert contents(place) == before
+
+
+@pytest.mark.parametrize("layer", ["parcels", None])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["map", "in/drive", "--out", "a.gpkg"],
+        ["map", "in/drive", "--update", "a.gpkg", "--out", "a.gpkg"],
+        ["map", "--convert", "in/map.gpkg", "--out", "a.gpkg"],
+        ["map", "--diff", "in/map.gpkg", "in/map.gpkg", "--out", "a.gpkg"],
+        [*LOCALIZE, "--out", "run", "--learn", "a.gpkg"],
+    ],
+)
+def test_a_geopackage_with_layers_of_somebody_is_kept(
+    words: list[str], layer: str | None, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A GIS puts new layers into the file that is open; None is a file of something else."""
+    target = place / "a.gpkg"
+    if layer is None:
+        target.write_text("years of work")
+    else:
+        shutil.copy(place / "in" / "map.gpkg", target)
+        poles = pyogrio.read_dataframe(target, layer="poles").iloc[:1]
+        pyogrio.write_dataframe(poles, target, layer=layer, driver="GPKG", append=True)
+    before = contents(place)
+    assert cli.run(words) == cli.USER_ERROR
+    error = capsys.readouterr().err
+    if layer is not None:
+        assert "holds the layer 'parcels', which polemap did not write" in error
+    elif "--update" not in words:
+        assert "is no GeoPackage that can be read" in error
+    assert error.splitlines()[-1].startswith("polemap: ")
+    assert contents(place) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [*LOCALIZE, "--out", "run", "--learn", "loop"],
+        ["view", "loop"],
+        ["view", "in/run", "--drive", "loop", "--out", "a.rrd"],
+        ["convert", "in/run", "--drive", "loop", "--out", "a.mcap"],
+        ["map", "in/drive", "--topics", "loop", "--out", "a.gpkg"],
+        ["new", "loop"],
+    ],
+)
+def test_links_in_a_circle_are_told_in_one_line(
+    words: list[str], place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (place / "loop").symlink_to("loop")
+    assert cli.run(words) == cli.USER_ERROR
+    assert capsys.readouterr().err.splitlines()[-1].startswith("polemap: ")
 
 
 @pytest.mark.parametrize("kind", ["drive", "run"])

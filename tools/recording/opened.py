@@ -103,7 +103,7 @@ def open_run(
 
 def _topics_of(runs: RunSet, drive: Path) -> Path | None:
     """The run's mapping of topics, for the drive that it names and not for a copy in a folder."""
-    if runs.drive is None or runs.drive.resolve() != drive.resolve():
+    if runs.drive is None or os.path.realpath(runs.drive) != os.path.realpath(drive):
         return None
     return runs.topics
 

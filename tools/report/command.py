@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from math import isfinite, nan
 from os import cpu_count
@@ -91,7 +92,7 @@ def command(
     from polemap.tools.report.sweep_output import sweep_output
     from polemap.tools.report.write import NO_SWEEPS, write_report
 
-    if cache is not None and cache.resolve() == (out / "cache").resolve():
+    if cache is not None and os.path.realpath(cache) == os.path.realpath(out / "cache"):
         cache = None
     added = parse_added(add or [])
     alignment = parse_alignment(align)

@@ -21,13 +21,13 @@ from polemap.map.city.statistics import MapStatistics
 from polemap.map.city.stored import CITY_POLES, StoredCity
 from polemap.map.formats import qgis
 from polemap.map.formats.columns import to_columns
+from polemap.map.formats.geopackage.layers import DOUBTFUL
 from polemap.map.formats.layers import map_from_layer
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError, short
 from polemap.parsing.json_text import parse_json
 
 _SQLITE = b"SQLite format 3\0"
-DOUBTFUL = "doubtful"
 # a table of points costs the library a kilobyte a row
 _ROWS_AT_ONCE = 1_000_000
 

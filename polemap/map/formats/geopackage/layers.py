@@ -1,0 +1,40 @@
+"""Which layers of a GeoPackage are a map's own: others in it are somebody's work."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+from polemap.drivelog.errors import OutputError
+from polemap.map.city.geopackage.io import LAYER
+from polemap.parsing.errors import short
+
+DOUBTFUL = "doubtful"
+_OURS = frozenset({LAYER, DOUBTFUL, "layer_styles"})
+
+
+def check_layers(path: Path) -> None:
+    """Refuse to replace a GeoPackage in which somebody else keeps layers.
+
+    Raises:
+        OutputError: it holds a layer that no map has, or is no GeoPackage at all.
+    """
+    if not path.is_file() or not path.stat().st_size:
+        return
+    address = f"{Path(os.path.realpath(path)).as_uri()}?mode=ro"
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as database:
+            found = database.execute("SELECT table_name FROM gpkg_contents").fetchall()
+    except (sqlite3.Error, UnicodeError) as error:
+        raise OutputError(
+            f"{path}: is there already and is no GeoPackage that can be read "
+            f"({short(str(error))}); name another file, or delete it"
+        ) from error
+    others = sorted(str(name) for (name,) in found if name not in _OURS)
+    if others:
+        raise OutputError(
+            f"{path}: holds the layer {ascii(others[0])[:60]}, which polemap did not write and "
+            "would replace; choose another file, or move the layer to one of its own"
+        )
