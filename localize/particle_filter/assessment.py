@@ -113,7 +113,7 @@ class Assessment:
             self._detector.place_proven(pose, done.step)
         limit_m = self._config.health.sd_max_m
         settled = self._recovery.proof.proven and len(modes) == 1
-        usable = settled and stated_m <= limit_m and self._recovery.lost.fits and not unmatched
+        usable = settled and major <= limit_m and self._recovery.lost.fits and not unmatched
         healthy = usable and not self._odometry.doubted and opinion != "contradicted"
         healthy &= self._detector.believed and not self._recovery.far_from_fixes
         healthy &= bool(np.hypot(stated_m, hint_m) <= limit_m)
