@@ -212,6 +212,7 @@ def _head(path: Path) -> tuple[Any, int]:
 def _arrays(path: Path, head: Any, begin: int, sums: NDArray[np.uint32]) -> PatternIndex:
     with named(path, InputError, "index of patterns"):
         long = int(head["bytes"])
+        data = np.memmap(path, np.uint8, "r", begin, (long,)) if long else np.empty(0, np.uint8)
         arrays: dict[str, NDArray[Any]] = {}
         places: dict[str, tuple[int, int]] = {}
         for name, dtype in _ARRAYS.items():
@@ -221,12 +222,8 @@ def _arrays(path: Path, head: Any, begin: int, sums: NDArray[np.uint32]) -> Patt
             if min(shape) < 0 or not 0 <= offset <= long - size:
                 raise InputError(f"{path}: its {name} lies outside the file; {_REMEDY}")
             places[name] = offset, math.prod(shape[1:]) * np.dtype(dtype).itemsize
-            arrays[name] = (
-                np.memmap(path, dtype, "r", begin + offset, shape)
-                if size
-                else np.empty(shape, dtype)
-            )
-        data = np.memmap(path, np.uint8, "r", begin, (long,)) if long else np.empty(0, np.uint8)
+            # views of one mapping: pages that are mapped twice count twice
+            arrays[name] = data[offset : offset + size].view(dtype).reshape(shape)
         blocks = CheckedBlocks((str(path), _REMEDY), data, sums, places, _watch(path))
         index = PatternIndex(frame=_frame(head, path), **arrays, blocks=blocks)
         _check(index, path)
