@@ -23,6 +23,7 @@ HDOP_MOST = 5.0
 LEAST_WAY_M = 1.0
 _EARTH_M = 6_371_000.0
 _SHARE_INSIDE = 0.8
+_LEAST_FIXES = 3
 _OVERLAP_S, _GRID_S, _FINE_S = 20.0, 0.5, 0.01
 _LIVELY_MPS, _ALIKE_MPS = 1.0, 0.7
 
@@ -58,12 +59,16 @@ def join_receiver(log: SignalLog, fixes: Mapping[str, Floats]) -> Joined:
     """
     if log.has("course_rad") or log.has("speed_mps"):
         raise InputError("the log has course_rad or speed_mps of its own; leave --gps out")
-    stamps = np.asarray(fixes["stamp_s"], dtype=np.float64)
-    count = len(stamps)
+    # in order of their stamps and each once: logs are joined twice, or written backwards
+    _, order = np.unique(fixes["stamp_s"], return_index=True)
+    fixes = {name: np.asarray(values, dtype=np.float64)[order] for name, values in fixes.items()}
+    count = len(order)
     hdop = fixes.get("hdop", np.full(count, np.nan))
     good = ~(hdop > HDOP_MOST)
-    if good.sum() < 3:
-        raise InputError(f"{int(good.sum())} fixes with HDOP up to {HDOP_MOST:g}, 3 are needed")
+    if good.sum() < _LEAST_FIXES:
+        raise InputError(
+            f"{int(good.sum())} fixes with HDOP up to {HDOP_MOST:g}, {_LEAST_FIXES} are needed"
+        )
     taken, course, speed, arrival, way, used = _motion(fixes, good)
     made = np.isfinite(way)
     offset_s = _offset(log, taken, speed)
@@ -84,6 +89,11 @@ def join_receiver(log: SignalLog, fixes: Mapping[str, Floats]) -> Joined:
             continue
         columns[name] = np.full(len(log), np.nan)
         columns[name][rows[inside]] = values[inside]
+    if inside.sum() < _LEAST_FIXES:
+        raise InputError(
+            f"{int(inside.sum())} fixes lie within the log ({log.stamp_s[0]:.1f} to "
+            f"{log.stamp_s[-1]:.1f} s), {_LEAST_FIXES} are needed"
+        )
     joined = SignalLog(log.stamp_s, columns)
     return Joined(joined, int(inside.sum()), offset_s, int(made[inside].sum()), int((~good).sum()))
 
@@ -114,8 +124,10 @@ def _motion(
     slow = np.isnan(speed[1:]) & usable
     speed[1:][slow] = (way / np.where(elapsed > 0.0, elapsed, 1.0))[slow]
     keep = np.isfinite(course) & np.isfinite(speed)
-    if keep.sum() < 3:
-        raise InputError(f"{int(keep.sum())} of {n} fixes have or give a course, 3 are needed")
+    if keep.sum() < _LEAST_FIXES:
+        raise InputError(
+            f"{int(keep.sum())} of {n} fixes have or give a course, {_LEAST_FIXES} are needed"
+        )
     return (
         taken[keep],
         np.unwrap(course[keep]),
@@ -158,6 +170,7 @@ def _offset(log: SignalLog, taken: Floats, speed: Floats) -> float:
     if not found.min() < _ALIKE_MPS:
         raise InputError(
             "the fixes' stamps are not those of the log, and their speed fits the wheels nowhere "
-            f"within {_ALIKE_MPS:g} m/s; give both on one clock"
+            f"within {_ALIKE_MPS:g} m/s over {_OVERLAP_S:g} s of changing speed; give both on one "
+            "clock"
         )
     return float(fine[int(np.argmin(found))])

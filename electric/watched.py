@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from polemap.electric.estimators.base import (
     Inputs,
     Value,
 )
+from polemap.electric.estimators.forwarding import Forwarding
 
 Floats = NDArray[np.float64]
 # what a kind of measurement measures, and the setting that is its deviation
@@ -72,7 +72,7 @@ class Record:
     faults: list[Fault] = field(default_factory=list)
 
 
-class Watched:
+class Watched(Forwarding):
     """An estimator that keeps a record; it changes nothing of what the estimator does.
 
     A late value is compared with what the estimator held at its capture. `every` is how many fast
@@ -82,19 +82,11 @@ class Watched:
     def __init__(
         self, inner: Estimator, config: EstimatorConfig, record: Record, every: int = 10
     ) -> None:
-        self._inner, self._config, self._record, self._every = inner, config, record, every
+        super().__init__(inner)
+        self._config, self._record, self._every = config, record, every
         self._held: dict[tuple[str, float], Estimate] = {}
         self._count, self._stamp_s = 0, 0.0
-        self.dropped = inner.dropped  # the same dict
         self._dropped = 0
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The estimator's."""
-        return self._inner.fields
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._inner, name)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         """Predict."""
@@ -155,11 +147,3 @@ class Watched:
                 faults[place] = Fault(kind, reason, last.from_s, stamp_s, last.count + 1)
                 return
         faults.append(Fault(kind, reason, stamp_s, stamp_s, 1))
-
-    def estimate(self) -> Estimate:
-        """The state of now."""
-        return self._inner.estimate()
-
-    def covariance(self) -> Floats:
-        """`(n, n)` of the fields."""
-        return self._inner.covariance()

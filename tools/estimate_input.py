@@ -31,13 +31,15 @@ def with_derived_gps(signals: SignalLog, config: EstimatorConfig, seed: int) -> 
 
 
 def with_receiver(signals: SignalLog, path: Path) -> SignalLog:
-    fixes = read_nmea(path)
+    # a log without dates is of any day: its clock is brought to the log's by the speed
+    fixes = read_nmea(path, day="1970-01-01")
     try:
         joined = join_receiver(signals, fixes.columns)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+    lost = "".join(f", {count} {what}" for what, count in fixes.dropped.items())
     sys.stderr.write(
-        f"note: {path.name}: {fixes.says}; {joined.fixes} fixes join the log, "
+        f"note: {path.name}: {fixes.says}{lost}; {joined.fixes} fixes join the log, "
         f"{joined.offset_s:.2f} s added to their stamps, {joined.from_positions} courses from "
         f"positions, {joined.left_out} left out for their HDOP\n"
     )

@@ -20,11 +20,11 @@ from polemap.electric.isolation.alone import (
     OwnChecks,
 )
 from polemap.electric.isolation.families import CAMERA, GPS, WINDOWS_S, Families
+from polemap.electric.isolation.judgement import Judgement
 from polemap.electric.isolation.late import LateSensor
 from polemap.electric.isolation.motion import SLOW_MPS, TICK_S, Moment, Motion
-from polemap.electric.isolation.speed import IMPOSSIBLE_MPS2, TrustedSpeed
+from polemap.electric.isolation.speed import TrustedSpeed
 from polemap.electric.isolation.suspicion import TOGETHER_S, Fault, Suspicions
-from polemap.electric.isolation.votes import Vote, accused, contradict
 from polemap.vehicle.parameters import Car
 
 LATE = {CAMERA_KIND: CAMERA, GPS_KIND: GPS}
@@ -67,6 +67,7 @@ class Isolator:
         self.speed = TrustedSpeed(speed_mps, self.motion)
         self._families = Families(car, config, self.heard)
         self._own = OwnChecks(stamp_s)
+        self._judgement = Judgement(self._suspicions, self._still, self._doubt_speed)
         self._late = {
             GPS: LateSensor(config.course_sd_rad, _SLIP_CHANGE_RAD, in_lane=False),
             CAMERA: LateSensor(config.heading_sd_rad, _LANE_CHANGE_RAD, in_lane=True),
@@ -126,14 +127,10 @@ class Isolator:
             if what == SPIKES:
                 self._suspicions.spiked(name, what, now_s)
             else:
-                self._accuse(name, now_s, 0.0, what)
+                self._judgement.accuse(name, now_s, 0.0, what)
         for name, late in self._late.items():
             if moving and late.silent(now_s):
-                self._accuse(name, now_s, 0.0, "silent")
-
-    def _accuse(self, name: str, now_s: float, window_s: float, what: str) -> None:
-        if self._suspicions.accuse(name, now_s, window_s, what) and name == WHEEL_SPEED:
-            self._doubt_speed(now_s, window_s)
+                self._judgement.accuse(name, now_s, 0.0, "silent")
 
     # speed
 
@@ -149,7 +146,7 @@ class Isolator:
         known = WHEEL_SPEED in self.heard and self.motion.before(1.0) is not None
         if gone and known and self.speed.mps > SLOW_MPS:
             what = f"leaps by {wheel_mps - self.speed.mps:.2g} m/s"
-            self._accuse(WHEEL_SPEED, now_s, 0.0, what)
+            self._judgement.accuse(WHEEL_SPEED, now_s, 0.0, what)
             return
         self.speed.follow(wheel_mps)
 
@@ -200,30 +197,30 @@ class Isolator:
         if _slow(late.events[-2].moment, last.moment):
             return
         if late.constant():
-            self._accuse(name, arrival_s, 0.0, "constant")
+            self._judgement.accuse(name, arrival_s, 0.0, "constant")
         if name == GPS:
             sd_rad = max(sd_rad, self._config.speed_sd_mps / max(self.speed.mps, 1.0))
         if late.noisy(sd_rad) and GYRO not in self.faulty:
-            self._accuse(name, arrival_s, 0.0, "noise of many times its own")
+            self._judgement.accuse(name, arrival_s, 0.0, "noise of many times its own")
         for window_s in WINDOWS_S:
             first = late.before(window_s)
             if first is None or _slow(first.moment, last.moment):
                 continue
             pair, start, end = (first, last), first.moment, last.moment
             if name == GPS:
-                self._judge(
+                self._judgement.judge(
                     self._families.yaw(start, end, gps=pair), start, arrival_s, window_s, _TURNS
                 )
                 if window_s <= 2.0:
                     speeds = self._families.speed(start, end, pair)
-                    self._judge(speeds, start, arrival_s, window_s, _GAINS)
+                    self._judgement.judge(speeds, start, arrival_s, window_s, _GAINS)
                 continue
             turns = self._families.yaw(start, end, camera=pair)
-            self._judge(turns, start, arrival_s, window_s, _TURNS)
+            self._judgement.judge(turns, start, arrival_s, window_s, _TURNS)
             sound = self._suspicions.comparable(CAMERA, start.stamp_s)
             if window_s <= 2.0 and sound and not self._families.across(first, last):
                 what = "its offset does not move as its heading says"
-                self._accuse(CAMERA, arrival_s, window_s, what)
+                self._judgement.accuse(CAMERA, arrival_s, window_s, what)
         if name == GPS:
             self._compare_speed(late, arrival_s)
 
@@ -256,7 +253,7 @@ class Isolator:
             if abs(third - last.moment.wheel) < abs(third - last.other):
                 guilty = GPS
         what = f"wheel speed and GPS differ by {last.moment.wheel - last.other:.2g} m/s"
-        self._accuse(guilty, now_s, 2.0, what)
+        self._judgement.accuse(guilty, now_s, 2.0, what)
 
     # votes
 
@@ -266,59 +263,17 @@ class Isolator:
             start = self.motion.before(window_s)
             if start is None or _slow(start, end):
                 return
-            self._judge(self._families.yaw(start, end), start, now_s, window_s, _TURNS)
+            self._judgement.judge(self._families.yaw(start, end), start, now_s, window_s, _TURNS)
             if window_s <= 2.0:
-                self._forward(start, end, now_s, window_s)
+                speeds = self._families.speed(start, end)
+                fresh = self._fresh_fix()
+                self._judgement.forward(speeds, start, end, now_s, window_s, fresh_fix=fresh)
             else:
                 gains = self._families.gain(start, end)
-                self._judge(gains, start, now_s, window_s, _AMPLIFIES)
-
-    def _judge(
-        self, votes: dict[str, Vote], start: Moment, now_s: float, window_s: float, what: str
-    ) -> None:
-        """Accuse by majority of those that are trusted; hold what is faulty against them."""
-        sound = {n: v for n, v in votes.items() if self._suspicions.comparable(n, start.stamp_s)}
-        trusted = {name: vote for name, vote in sound.items() if name not in self.faulty}
-        guilty, disputed = accused(trusted)
-        for name in guilty:
-            rest = [other for other in trusted if other not in guilty]
-            off = trusted[name].value - float(np.mean([trusted[other].value for other in rest]))
-            told = f"{what.format(off)} {' and '.join(rest)}"
-            self._accuse(name, now_s, window_s, told)
-        if disputed and not guilty:
-            still = {n for n in disputed & set(FAST) if self._still(n)}
-            for name in still:
-                self._accuse(name, now_s, window_s, "constant while others move")
-            if not still:
-                self._suspicions.undecided(disputed, now_s)
-        for name in self.faulty & sound.keys():
-            against = sum(contradict(sound[name], vote) for vote in trusted.values())
-            if against and 2 * against >= len(trusted):
-                self._suspicions.still_against(name, now_s, window_s)
+                self._judgement.judge(gains, start, now_s, window_s, _AMPLIFIES)
 
     def _still(self, name: str) -> bool:
         return bool(self._own.still_s[FAST.index(name)] > _STILL_S)
-
-    def _forward(self, start: Moment, end: Moment, now_s: float, window_s: float) -> None:
-        """Wheels against ax alone: who gains what no car gains, or never moves."""
-        votes = self._families.speed(start, end)
-        names = (WHEEL_SPEED, FORWARD)
-        if not all(n in votes and self._suspicions.comparable(n, start.stamp_s) for n in names):
-            return
-        wheel, ax = votes[WHEEL_SPEED], votes[FORWARD]
-        if not contradict(wheel, ax):
-            return
-        both = self.faulty.intersection(names)
-        for name in both:
-            self._suspicions.still_against(name, now_s, window_s)
-        if both:
-            return
-        t = end.stamp_s - start.stamp_s
-        what = f"gains {(wheel.value - ax.value) / t:.2g} m/s2 otherwise than"
-        if self._still(WHEEL_SPEED) or abs(wheel.value) > IMPOSSIBLE_MPS2 * t:
-            self._accuse(WHEEL_SPEED, now_s, window_s, f"{what} the accelerometer")
-        elif not self._fresh_fix() and (window_s >= 2.0 or abs(ax.value) > IMPOSSIBLE_MPS2 * t):
-            self._accuse(FORWARD, now_s, window_s, f"{what} the wheels")
 
     def course_offset(self) -> float:
         """What the newest course is ahead of the one before its fault and the gyro's turn since."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import exp
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +14,13 @@ from polemap.electric.estimators.base import (
     LATERAL_ACCELERATION,
     WHEEL_SPEED,
     YAW_RATE,
-    Estimate,
     Estimator,
     Inputs,
     Value,
     fix_spread,
     pair,
 )
+from polemap.electric.estimators.forwarding import Forwarding
 from polemap.electric.isolation import alone, families
 from polemap.electric.isolation.isolator import Isolator
 from polemap.electric.isolation.suspicion import Fault
@@ -48,7 +47,7 @@ _JUMPS = (_STEERING, _SPEED, float("inf"), _FORWARD, _LATERAL, _YAW_RATE, float(
 _LEAST_SPEED_MPS, _STEERING_MAX_RAD, _YAW_RATE_MAX_RADPS, _GAIN_S = 2.0, 0.7, 1.5, 0.5
 
 
-class FaultTolerant:
+class FaultTolerant(Forwarding):
     """Hears what its estimator hears and keeps from it what is faulty.
 
     Values of a faulty sensor are withheld; where it is an input the others stand in: steering from
@@ -71,7 +70,8 @@ class FaultTolerant:
         needs: tuple[str, ...],
         faults: list[Fault],
     ) -> None:
-        self._inner, self._car, self._config, self._faults = inner, car, config, faults
+        super().__init__(inner)
+        self._car, self._config, self._faults = car, config, faults
         self._together = {alone.GYRO, alone.LATERAL}
         if not {YAW_RATE, LATERAL_ACCELERATION} <= set(needs):
             self._together = set()
@@ -83,15 +83,6 @@ class FaultTolerant:
         self._stand_in = [0.0] * len(_JUMPS)
         self._stamp_s = 0.0
         self._course_off_rad, self._course_since_s = 0.0, 0.0
-        self.dropped = inner.dropped  # the same dict
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The estimator's."""
-        return self._inner.fields
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._inner, name)
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         """Predict, on inputs that are believed."""
@@ -211,11 +202,3 @@ class FaultTolerant:
             self._course_off_rad = off if abs(off) > _COURSE_LEAST_RAD else 0.0
         age = self._stamp_s - self._course_since_s
         return course_rad - self._course_off_rad * exp(-age / COURSE_TIME_S)
-
-    def estimate(self) -> Estimate:
-        """The state of now."""
-        return self._inner.estimate()
-
-    def covariance(self) -> Floats:
-        """`(n, n)` of the fields."""
-        return self._inner.covariance()
