@@ -110,23 +110,30 @@ class Families:
                 votes[name] = Vote(0.5 * log(variance), tolerance)
         return votes if len(votes) > 1 else {}
 
-    def across(self, first: Event, last: Event) -> bool:
+    def across(self, first: Event, last: Event, faulty: set[str]) -> bool:
         """Whether a camera's offset moved as its heading says, within what side-slip may add."""
         start, end = first.moment, last.moment
         t, gone = end.stamp_s - start.stamp_s, end.distance - start.distance
         lateral = self.level(start, end) * gone / t
         moved = last.other - first.other
         # y' = v (psi + beta) + l gamma; side-slip of the steady bend, the turn of the middle sensor
-        turns = [end.gyro - start.gyro, end.steering - start.steering]
-        if LATERAL in self._heard:
-            turns.append(end.lateral - start.lateral)
-        turn, speed = sorted(turns)[len(turns) // 2], gone / t
+        told = {
+            GYRO: end.gyro - start.gyro,
+            STEERING: end.steering - start.steering,
+            LATERAL: end.lateral - start.lateral,
+        }
+        turns = sorted(told[n] for n in told if n in self._heard and n not in faulty)
+        if not turns:
+            return True
+        turn, speed = turns[len(turns) // 2], gone / t
         car = self._car
         arm = car.preview_m + car.cg_to_rear_m - car.rear_slip_rad_per_mps2 * speed * speed
         wanted = last.way - first.way + arm * turn
         error = 8.0 * self._config.lateral_offset_sd_m + 0.1
         error += gone * (0.025 + _SLIP_RAD_PER_MPS2 * lateral + 2.0 * self._config.heading_sd_rad)
         error += 0.1 * self._car.preview_m * self.level(start, end) * t
+        # a turn that the others tell differently is known no better than that
+        error += 0.5 * abs(arm) * (turns[-1] - turns[0])
         return abs(moved - wanted) <= error
 
     def speed(

@@ -23,6 +23,7 @@ from polemap.electric.isolation.families import CAMERA, GPS, WINDOWS_S, Families
 from polemap.electric.isolation.judgement import Judgement
 from polemap.electric.isolation.late import LateSensor
 from polemap.electric.isolation.motion import SLOW_MPS, TICK_S, Moment, Motion
+from polemap.electric.isolation.proportions import SPAN_S, proportions
 from polemap.electric.isolation.speed import TrustedSpeed
 from polemap.electric.isolation.suspicion import TOGETHER_S, Fault, Suspicions
 from polemap.vehicle.parameters import Car
@@ -37,6 +38,8 @@ _STILL_S = 0.4
 _FRESH_S = 1.0
 _TURNS = "turns by {:.2g} rad/s otherwise than"
 _GAINS = "gains {:.2g} m/s otherwise than"
+_LEADS = "turns {:.2g} s earlier than"
+_SHAPES_TICKS = 5
 _AMPLIFIES = "its turns are e^{:.2g} times those of"
 
 
@@ -59,7 +62,7 @@ class Isolator:
         stamp_s: float,
         speed_mps: float,
     ) -> None:
-        self._config = config
+        self._car, self._config = car, config
         self._suspicions = Suspicions((*FAST, GPS, CAMERA), faults)
         self.faulty = self._suspicions.faulty
         self.heard: set[str] = set()
@@ -75,7 +78,7 @@ class Isolator:
         self._rows: list[Inputs] = []
         self._raw: list[Inputs] = []
         self._stamps: list[float] = []
-        self._carried = 0
+        self._carried = self._since_shapes = 0
         self.next_s = stamp_s + TICK_S
         self.withheld = self._suspicions.withheld
 
@@ -218,7 +221,7 @@ class Isolator:
             turns = self._families.yaw(start, end, camera=pair)
             self._judgement.judge(turns, start, arrival_s, window_s, _TURNS)
             sound = self._suspicions.comparable(CAMERA, start.stamp_s)
-            if window_s <= 2.0 and sound and not self._families.across(first, last):
+            if window_s <= 2.0 and sound and not self._families.across(first, last, self.faulty):
                 what = "its offset does not move as its heading says"
                 self._judgement.accuse(CAMERA, arrival_s, window_s, what)
         if name == GPS:
@@ -271,6 +274,22 @@ class Isolator:
             else:
                 gains = self._families.gain(start, end)
                 self._judgement.judge(gains, start, now_s, window_s, _AMPLIFIES)
+        self._shapes(now_s)
+
+    def _shapes(self, now_s: float) -> None:
+        """Scales and lateness in the turns of the last seconds, four times a second."""
+        self._since_shapes += 1
+        start = self.motion.before(SPAN_S)
+        if self._since_shapes < _SHAPES_TICKS or start is None or _slow(start, self.motion.now):
+            return
+        self._since_shapes = 0
+        moments = [m for m in self.motion.moments if m.stamp_s >= start.stamp_s]
+        events = self._late[GPS].events
+        fixes = [event for event in events if event.moment.stamp_s >= start.stamp_s]
+        gains, leads = proportions(self._car, moments, self.heard, fixes)
+        self._suspicions.together_s = max(TOGETHER_S, 2.5 * _SHAPES_TICKS * TICK_S)
+        self._judgement.judge(gains, start, now_s, SPAN_S, _AMPLIFIES)
+        self._judgement.judge(leads, start, now_s, SPAN_S, _LEADS)
 
     def _still(self, name: str) -> bool:
         return bool(self._own.still_s[FAST.index(name)] > _STILL_S)

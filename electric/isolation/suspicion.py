@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 # how long a sensor is accused until it is held for faulty, by the window of the vote in seconds;
 # window 0 is what a sensor tells of itself
-PERSIST_S = {0.0: 0.0, 0.5: 0.15, 2.0: 0.3, 8.0: 1.0}
+PERSIST_S = {0.0: 0.0, 0.5: 0.15, 2.0: 0.3, 3.0: 0.45, 8.0: 1.0}
 _TIMES, TOGETHER_S = 2, 0.16
 # believed again after so long without evidence; twice as long each time it was believed too early
 TRUST_S, TRUST_MOST_S = 1.0, 16.0
