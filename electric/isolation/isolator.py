@@ -22,7 +22,7 @@ from polemap.electric.isolation.alone import (
 from polemap.electric.isolation.families import CAMERA, GPS, WINDOWS_S, Families
 from polemap.electric.isolation.judgement import Judgement
 from polemap.electric.isolation.late import LateSensor
-from polemap.electric.isolation.motion import SLOW_MPS, TICK_S, Moment, Motion
+from polemap.electric.isolation.motion import SLOW_MPS, TICK_S, Motion, slow_between
 from polemap.electric.isolation.proportions import SPAN_S, proportions
 from polemap.electric.isolation.speed import TrustedSpeed
 from polemap.electric.isolation.suspicion import TOGETHER_S, Fault, Suspicions
@@ -197,7 +197,7 @@ class Isolator:
             return
         self._suspicions.together_s = max(TOGETHER_S, late.together_s())
         last = late.events[-1]
-        if _slow(late.events[-2].moment, last.moment):
+        if slow_between(late.events[-2].moment, last.moment):
             return
         if late.constant():
             self._judgement.accuse(name, arrival_s, 0.0, "constant")
@@ -207,7 +207,7 @@ class Isolator:
             self._judgement.accuse(name, arrival_s, 0.0, "noise of many times its own")
         for window_s in WINDOWS_S:
             first = late.before(window_s)
-            if first is None or _slow(first.moment, last.moment):
+            if first is None or slow_between(first.moment, last.moment):
                 continue
             pair, start, end = (first, last), first.moment, last.moment
             if name == GPS:
@@ -264,7 +264,7 @@ class Isolator:
         end = self.motion.now
         for window_s in WINDOWS_S:
             start = self.motion.before(window_s)
-            if start is None or _slow(start, end):
+            if start is None or slow_between(start, end):
                 return
             self._judgement.judge(self._families.yaw(start, end), start, now_s, window_s, _TURNS)
             if window_s <= 2.0:
@@ -280,7 +280,11 @@ class Isolator:
         """Scales and lateness in the turns of the last seconds, four times a second."""
         self._since_shapes += 1
         start = self.motion.before(SPAN_S)
-        if self._since_shapes < _SHAPES_TICKS or start is None or _slow(start, self.motion.now):
+        if (
+            self._since_shapes < _SHAPES_TICKS
+            or start is None
+            or slow_between(start, self.motion.now)
+        ):
             return
         self._since_shapes = 0
         moments = [m for m in self.motion.moments if m.stamp_s >= start.stamp_s]
@@ -296,18 +300,10 @@ class Isolator:
 
     def course_offset(self) -> float:
         """What the newest course is ahead of the one before its fault and the gyro's turn since."""
-        events, since_s = self._late[GPS].events, self._suspicions.since_s(GPS)
-        sound = [event for event in events if event.moment.stamp_s < since_s - 1.0]
-        if not sound or GYRO in self.faulty:
+        if GYRO in self.faulty:
             return 0.0
-        last, then = events[-1], sound[-1]
-        return last.angle_rad - then.angle_rad - (last.moment.gyro - then.moment.gyro)
+        return self._late[GPS].ahead_since(self._suspicions.since_s(GPS) - 1.0)
 
     def _alive(self, name: str) -> bool:
         late = self._late.get(name)
         return late is None or not (late.silent(self.motion.now.stamp_s) or late.constant())
-
-
-def _slow(start: Moment, end: Moment) -> bool:
-    """Whether the car was too slow somewhere between, or hardly any time went by."""
-    return end.slow_s >= start.stamp_s or end.stamp_s - start.stamp_s < 1e-3

@@ -89,6 +89,14 @@ class LateSensor:
                 return event if event.moment.stamp_s > wanted - 0.5 * window_s else None
         return None
 
+    def ahead_since(self, stamp_s: float) -> float:
+        """What the newest angle is ahead of the last before `stamp_s` and the gyro's turn since."""
+        sound = [event for event in self.events if event.moment.stamp_s < stamp_s]
+        if not sound:
+            return 0.0
+        last, then = self.events[-1], sound[-1]
+        return last.angle_rad - then.angle_rad - (last.moment.gyro - then.moment.gyro)
+
     def constant(self) -> bool:
         """Whether the last values are all the same to the last digit."""
         if len(self.events) < _SAME_VALUES:

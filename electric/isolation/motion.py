@@ -133,3 +133,8 @@ class Motion:
         wanted = speed * steering / (self._car.wheelbase_m + self._understeer * speed * speed)
         slow = max(speed * self._lag_per_mps, t)
         self.yaw_rate_radps += min(t / slow, 1.0) * (wanted - self.yaw_rate_radps)
+
+
+def slow_between(start: Moment, end: Moment) -> bool:
+    """Whether the car was too slow somewhere between, or hardly any time went by."""
+    return end.slow_s >= start.stamp_s or end.stamp_s - start.stamp_s < 1e-3

@@ -23,6 +23,8 @@ from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
 Rows = tuple[list[Line], dict[str, float]]
+# so much the true yaw rate is at least where a car is said to corner
+CORNERING_RADPS = 0.05
 
 
 def swinging(low_kmh: float, high_kmh: float, scene: Scene) -> Scene:
@@ -126,14 +128,22 @@ def velocity_rows(
     late = round(SETTLED_S / config.step_s) // EVERY
     for name in names:
         squares: dict[str, list[Floats]] = {}
+        cornering: list[Floats] = []
         for drive in drives:
             played = play(make_estimator(name, model, config), drive.log, every=EVERY)
+            turning = (np.abs(drive.truth[::EVERY, 1]) > CORNERING_RADPS)[late:]
             for field, error in _errors(played, drive).items():
                 squares.setdefault(field, []).append(np.square(error[late:]))
+                if field == "yaw_rate_radps":
+                    cornering.append(np.square(error[late:][turning]))
         for field, values in squares.items():
             rms = float(np.sqrt(np.mean(values)))
             figures[f"{name}_{field}"] = rms
             lines.append(Line(f"{field}, {name}", f"{rms:.4f}", "", _CLAIMS.get(field, "")))
+        if sum(map(len, cornering)):
+            rms = float(np.sqrt(np.mean(np.concatenate(cornering))))
+            figures[f"{name}_yaw_rate_radps_cornering"] = rms
+            lines.append(Line(f"yaw_rate_radps in cornering, {name}", f"{rms:.4f}", "", ""))
     held = np.sqrt(np.mean([np.mean(np.square(_held_course(d)[late:])) for d in drives]))
     figures["held_course_rad"] = float(held)
     lines.append(Line("course_rad, last GPS value that arrived", f"{held:.4f}", "", "delayed"))

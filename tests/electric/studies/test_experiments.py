@@ -73,6 +73,8 @@ def test_layer_two_has_the_velocities_and_the_course_without_delay() -> None:
     course = figures["two_layer_reconstructed_course_rad"]
     assert course < 0.3 * figures["held_course_rad"]
     assert {"kinematic_vy_mps", "two_layer_reconstructed_vx_mps"} <= figures.keys()
+    whole = figures["two_layer_reconstructed_yaw_rate_radps"]
+    assert 0.0 < figures["two_layer_reconstructed_yaw_rate_radps_cornering"] < 3.0 * whole
     panels = velocity_panels(CAR, GPS_NOISE, drives[0], names)
     assert [len(panel.curves) for panel in panels] == [3, 3, 3, 3]
 
