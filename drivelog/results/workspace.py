@@ -43,13 +43,17 @@ def own_workspace(target: Path) -> Iterator[Path]:
     made = _make_parents(target)
     sweep(target.parent)
     place = target.parent / f".{_short(target.name)}{ENDING}"
-    lock = _take(place, target)
-    _held[target] = place
+    lock = -1
     try:
+        lock = _take(place, target)
+        _held[target] = place
         yield place
     finally:
-        del _held[target]
-        _give_back(place, lock)
+        _held.pop(target, None)
+        if lock >= 0:
+            _give_back(place, lock)
+        else:
+            _leave(place)
         _remove_empty(made)
 
 
@@ -191,7 +195,11 @@ def _take_random(parent: Path, name: str, target: Path) -> tuple[Path, int]:
             place = Path(tempfile.mkdtemp(prefix=f".{name}.", suffix=ENDING, dir=parent))
         except OSError as error:
             raise OutputError(f"{target}: cannot be written ({error.strerror})") from error
-        lock = _lock_in(place, target)
+        try:
+            lock = _lock_in(place, target)
+        except BaseException:
+            _leave(place)
+            raise
         if lock is not None:
             return place, lock
 
@@ -211,6 +219,13 @@ def _take(place: Path, target: Path) -> int:
         lock = _lock_in(place, target)
         if lock is not None:
             return lock
+
+
+def _leave(place: Path) -> None:
+    """Go without a workspace that was made and is not held: a signal came between the two."""
+    with contextlib.suppress(OSError):
+        place.rmdir()
+    sweep(place.parent)
 
 
 def _lock_in(place: Path, target: Path) -> int | None:

@@ -153,7 +153,11 @@ def test_a_disk_that_is_full_costs_one_line(ending: str, tmp_path: Path) -> None
     poles = replace(plain_map(points), frame=EarthFrame("utm", epsg=32633))
     write_map(poles, tmp_path / "map.gpkg")
     out = tmp_path / f"out.{ending}"
-    out.write_text("old")
+    write_map(poles.rows(slice(3)), tmp_path / "few.gpkg")
+    # an earlier result of our own: what polemap did not write it does not replace
+    assert run(["map", "--convert", tmp_path / "few.gpkg", "--out", out]).returncode == cli.GOOD
+    (tmp_path / "few.gpkg").unlink()
+    old = out.read_bytes()
     words = ["map", "--convert", tmp_path / "map.gpkg", "--out", out]
     done = run(
         words,
@@ -163,7 +167,7 @@ def test_a_disk_that_is_full_costs_one_line(ending: str, tmp_path: Path) -> None
     assert done.returncode == cli.USER_ERROR
     assert done.stderr.startswith(f"polemap: {out}: cannot be written (")
     assert done.stderr.count("\n") == 1
-    assert out.read_text() == "old"
+    assert out.read_bytes() == old
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.gpkg", out.name]
 
 

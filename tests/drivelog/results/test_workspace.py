@@ -8,16 +8,19 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from polemap.drivelog.atomic import atomic_file, atomic_folder, reserved
 from polemap.drivelog.errors import OutputError
+from polemap.drivelog.results import workspace
 from polemap.drivelog.results.workspace import sweep
 
 PROGRAM = """
 import sys
 from pathlib import Path
+from typing import Any
 from polemap.drivelog.atomic import atomic_file, atomic_folder, reserved, scratch_folder
 with {what} as part:
     {then}
@@ -145,3 +148,27 @@ def test_a_long_name_is_written_too(tmp_path: Path) -> None:
         atomic_file(tmp_path / ("o" * 300)),
     ):
         pass
+
+
+@pytest.mark.parametrize("place", ["lock.open", "try_lock", "still_there", "_clear"])
+@pytest.mark.parametrize("writer", [workspace.own_workspace, workspace.fresh_folder])
+def test_a_signal_while_a_workspace_is_made_leaves_none(
+    place: str, writer: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal between the folder, its lock and the work: nothing holds what was made by then."""
+
+    def interrupted(*_args: Any, **_kept: Any) -> Any:
+        monkeypatch.undo()
+        raise KeyboardInterrupt
+
+    target = tmp_path / "out"
+    if place == "lock.open":
+        monkeypatch.setattr(workspace.os, "open", interrupted)
+    else:
+        monkeypatch.setattr(workspace, place, interrupted)
+    with pytest.raises(KeyboardInterrupt), writer(target):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    with writer(target) as made:
+        assert made.is_dir()
+    assert list(tmp_path.iterdir()) == []
