@@ -25,6 +25,8 @@ from polemap.electric.lanes import (
     with_lanes,
 )
 from polemap.electric.signals import SignalLog
+from polemap.parsing.csv_text import check_csv
+from polemap.parsing.errors import named
 from polemap.tools.findings import require_plausible
 from polemap.tools.lane_pictures import LanePictures
 from polemap.tools.option_types import ForceOption, TopicsOption, frame_range
@@ -194,7 +196,9 @@ def score(drive: Drive, track: LaneTrack, preview_m: float) -> list[str]:
         return []
     import pandas as pd
 
-    truth = pd.read_csv(path)
+    with named(path, InputError, "table"):
+        check_csv(path)
+        truth = pd.read_csv(path)
     wanted = {"stamp_s", "preview_m", *NAMES}
     if not wanted <= set(truth.columns) or not len(truth):
         raise InputError(f"{path}: the columns {', '.join(sorted(wanted))} are needed")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.logs.format_part import FormatPart
-from polemap.drivelog.logs.marks import find_marks, find_separator, is_number, split
+from polemap.drivelog.logs.marks import cells_of, check_cells, find_marks, find_separator, is_number
 from polemap.drivelog.logs.text import encoding_of, first_lines
 from polemap.drivelog.logs.units import unit_named
 from polemap.drivelog.problems import first_rows
@@ -86,8 +86,9 @@ def find_layout(path: Path, given: FormatPart) -> Layout:
     ]
     if not usable:
         raise InputError(f"{path}: holds no rows; a log has a row a sample")
+    check_cells(path, usable)
     separator = given.separator_mark() or find_separator(path, [line for _, line in usable])
-    rows = [(n, [c.strip() for c in next(split([line], separator), [])]) for n, line in usable]
+    rows = [(n, cells_of(path, n, line, separator)) for n, line in usable]
     rows, width, preamble = _table(path, given, rows)
     # a header may hold commas in brackets and numbers; it does not tell the marks
     decimal, thousands = find_marks(path, given, separator, [cells for _, cells in rows[1:]])
@@ -100,7 +101,7 @@ def find_layout(path: Path, given: FormatPart) -> Layout:
         line, columns = rows.pop(0)
         says.append(f"header in line {line}")
     elif not given.no_header:
-        columns = _commented_header(lines, comments, separator, width, rows)
+        columns = _commented_header(path, lines, comments, separator, width, rows)
         says.append("header in a comment" if columns else "no header: columns by number")
     if columns and rows and _is_units(path, given, rows, decimal, missing):
         line, units = rows.pop(0)
@@ -197,7 +198,12 @@ def _has_header(
 
 
 def _commented_header(
-    lines: Sequence[str], comments: tuple[str, ...], separator: str, width: int, rows: list[Row]
+    path: Path,
+    lines: Sequence[str],
+    comments: tuple[str, ...],
+    separator: str,
+    width: int,
+    rows: list[Row],
 ) -> list[str]:
     """Names in the comment just above the first row, as numpy.savetxt writes them."""
     above = rows[0][0] - 2
@@ -205,7 +211,7 @@ def _commented_header(
         return []
     text = lines[above].strip()
     mark = next(mark for mark in comments if text.startswith(mark))
-    cells = [cell.strip() for cell in next(split([text[len(mark) :].strip()], separator), [])]
+    cells = cells_of(path, above + 1, text[len(mark) :].strip(), separator)
     return cells if len(cells) == width and _names(cells) else []
 
 

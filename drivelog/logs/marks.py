@@ -11,11 +11,14 @@ from pathlib import Path
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.logs.format_part import FormatPart
 from polemap.drivelog.problems import first_rows
+from polemap.parsing.csv_text import LONGEST_CELL
+from polemap.parsing.errors import short
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 # 1,234 and 12,345,678; 0,123 and 1234,567 are no thousands
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+_ANY_MARK = re.compile(r"[;\t|, ]")
 _BOTH = re.compile(r"[+-]?\d{1,3}([.,' ]\d{3})+[.,]\d+")
 
 
@@ -28,16 +31,47 @@ def split(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
     """Cells of lines; quoted cells may hold the separator."""
     if separator == " ":
         return (line.split() for line in lines)
+    # a limit of the whole module: Python's own holds until somebody sets it
+    csv.field_size_limit(LONGEST_CELL)
     return csv.reader(lines, delimiter=separator, skipinitialspace=True)
+
+
+def cells_of(path: Path, number: int, line: str, separator: str) -> list[str]:
+    """Cells of one line, without the blanks around them.
+
+    Raises:
+        InputError: a cell beyond its limit.
+    """
+    try:
+        return [cell.strip() for cell in next(split([line], separator), [])]
+    except csv.Error as error:
+        raise InputError(
+            f"{path}, line {number}: no cells ({short(error)}); a quote that is never closed?"
+        ) from error
+
+
+def check_cells(path: Path, lines: Iterable[tuple[int, str]]) -> None:
+    """Refuse numbered lines in which no mark parts what is longer than a cell may be.
+
+    Raises:
+        InputError: the first such line.
+    """
+    for number, line in lines:
+        if len(line) > LONGEST_CELL and max(map(len, _ANY_MARK.split(line))) > LONGEST_CELL:
+            raise InputError(
+                f"{path}, line {number}: a cell of more than {LONGEST_CELL} characters; restore "
+                "the log, or leave the column out"
+            )
 
 
 def find_separator(path: Path, lines: Sequence[str]) -> str:
     """The only mark that parts all lines (but for a preamble) into the same number of cells."""
-    fitting = {}
+    fitting, failed = {}, ""
     for mark in (";", "\t", "|", ",", " "):
         try:
             rows = [row for row in split(lines, mark) if row]
-        except csv.Error:
+        except csv.Error as error:
+            failed = failed or short(error)
             continue
         width, count = Counter(map(len, rows)).most_common(1)[0]
         if width < 2 or count < 0.6 * len(rows):
@@ -61,10 +95,14 @@ def find_separator(path: Path, lines: Sequence[str]) -> str:
         return ","
     if not strong and " " in fitting:
         return " "
-    if not fitting and all("," not in line and ";" not in line for line in lines):
+    if not failed and not fitting and all("," not in line and ";" not in line for line in lines):
         return ","  # one column
+    if failed:
+        raise InputError(f"{path}: no cells ({failed}); a quote that is never closed?")
+    odd = any(line.count('"') % 2 for line in lines)
+    quote = " (a quote is never closed)" if odd else ""
     raise InputError(
-        f"{path}: what separates the columns cannot be told; first rows {first_rows(lines)}; add "
+        f"{path}: what separates the columns cannot be told{quote}; first rows {first_rows(lines)}; add "
         "to the mapping `format: {separator: ','}` (or ';', tab, '|', blanks), and `decimal: ','` "
         "where numbers have commas"
     )

@@ -166,8 +166,8 @@ def _cells(path: Path, file: IO[str], layout: Layout) -> Iterator[tuple[int, lis
         for number, line in enumerate(lines_of(file), start=1):
             yield number, line.split()
         return
-    reader = csv.reader(lines_of(file), delimiter=layout.separator, skipinitialspace=True)
     csv.field_size_limit(LONGEST_CELL)
+    reader = csv.reader(lines_of(file), delimiter=layout.separator, skipinitialspace=True)
     last = 0
     while True:
         try:

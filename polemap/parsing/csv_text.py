@@ -66,6 +66,7 @@ def read_rows(path: Path) -> list[list[str]]:
     check_csv(path)
     try:
         with Path(path).open(encoding="utf-8-sig", newline="") as stream:
+            csv.field_size_limit(LONGEST_CELL)
             return list(csv.reader(stream))
     except UnicodeDecodeError as error:
         raise ParsingError("not a UTF-8 CSV file; save it as UTF-8") from error
