@@ -30,6 +30,7 @@ from polemap.drivelog.results.marker import (
     read_marker,
     write_marker,
 )
+from polemap.drivelog.results.signature import check_signature
 from polemap.drivelog.results.targets import (
     check_no_part,
     check_not_an_input,
@@ -70,14 +71,15 @@ def check_file(path: Path, inputs: Inputs = (), endings: Iterable[str] = ()) -> 
         endings: of such results; a file of another one that is there already is kept.
 
     Raises:
-        OutputError: the place is no file, is on or below an input, holds a file of another kind,
-            or one that belongs to a drive or to a finished result.
+        OutputError: the place is no file, is on or below an input, holds a file of another kind
+            or by another program, or one that belongs to a drive or to a finished result.
     """
     path = Path(path)
     real_target(path, folder=False)
     check_not_an_input(path, inputs)
     check_own_kind(path, endings)
     check_no_part(path)
+    check_signature(path)
 
 
 def check_files(paths: Sequence[Path | None], inputs: Inputs = ()) -> None:

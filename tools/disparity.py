@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.atomic import atomic_file, check_files
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.images import read_grey
+from polemap.drivelog.results.signature import signed_png
 from polemap.drivelog.samples import Image
 from polemap.settings import load_settings
 from polemap.stereo.config import StereoConfig
@@ -129,4 +130,4 @@ def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Non
         good, data = cv2.imencode(".png", image)
         if not good:
             raise InputError(f"{path}: the PNG cannot be encoded")
-        part.write_bytes(data.tobytes())
+        part.write_bytes(signed_png(data.tobytes()))

@@ -13,6 +13,7 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.drivelog.results.signature import CREATOR
 from polemap.evaluation.localizability import Localizability, drive_sensor, localizability
 from polemap.extras import check_installed
 from polemap.map.pole_map import PoleMap
@@ -128,7 +129,8 @@ def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         with atomic_file(path) as target:
-            figure.savefig(target, format=path.suffix[1:].lower())
+            kind = path.suffix[1:].lower()
+            figure.savefig(target, format=kind, metadata={"Creator": CREATOR})
 
 
 def _extent(points_m: Floats) -> tuple[Floats, Floats]:

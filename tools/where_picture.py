@@ -8,6 +8,7 @@ import numpy as np
 
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.results.signature import CREATOR
 from polemap.extras import need
 from polemap.localize.place.along import Found
 from polemap.map.pattern_index.index import PatternIndex
@@ -51,4 +52,4 @@ def draw_place(index: PatternIndex, found: Found, path: Path) -> None:
     said = "found" if found.claimed else "not claimed"
     axes.set_title(f"{said} after {found.after_m:.0f} m{bound}")
     with atomic_file(path) as part:
-        figure.savefig(part, dpi=110)
+        figure.savefig(part, dpi=110, metadata={"Creator": CREATOR})

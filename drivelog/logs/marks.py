@@ -102,9 +102,9 @@ def find_separator(path: Path, lines: Sequence[str]) -> str:
     odd = any(line.count('"') % 2 for line in lines)
     quote = " (a quote is never closed)" if odd else ""
     raise InputError(
-        f"{path}: what separates the columns cannot be told{quote}; first rows {first_rows(lines)}; add "
-        "to the mapping `format: {separator: ','}` (or ';', tab, '|', blanks), and `decimal: ','` "
-        "where numbers have commas"
+        f"{path}: what separates the columns cannot be told{quote}; first rows "
+        f"{first_rows(lines)}; add to the mapping `format: {{separator: ','}}` "
+        "(or ';', tab, '|', blanks), and `decimal: ','` where numbers have commas"
     )
 
 

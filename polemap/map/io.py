@@ -17,6 +17,7 @@ import numpy as np
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import FrameError, InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.results.signature import check_signature
 from polemap.drivelog.tables import read_table
 from polemap.extras import check_installed, need
 from polemap.map.city.packing import TILE_POLES
@@ -40,7 +41,7 @@ def check_writable(path: Path) -> None:
 
     Raises:
         InputError: the ending is none of ours.
-        OutputError: a GeoPackage that holds other layers stands there.
+        OutputError: a GeoPackage that holds other layers, or another program's file stands there.
         MissingExtraError: the format needs a package that is not installed.
     """
     if Path(path).suffix.lower() not in _WRITERS:
@@ -48,8 +49,13 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: a map is written as one of {known}; choose such an ending")
     if Path(path).suffix.lower() == ".parquet":
         check_installed("pyarrow")
-    if Path(path).suffix.lower() == ".gpkg":
-        check_layers(Path(path))
+    _check_replaceable(Path(path))
+
+
+def _check_replaceable(path: Path) -> None:
+    check_signature(path)
+    if path.suffix.lower() == ".gpkg":
+        check_layers(path)
 
 
 def export_map(pole_map: PoleMap, path: Path) -> None:
@@ -64,8 +70,7 @@ def export_map(pole_map: PoleMap, path: Path) -> None:
     if path.suffix.lower() not in writers:
         known = ", ".join(sorted(writers))
         raise InputError(f"{path}: a map is exported as one of {known}; choose such an ending")
-    if path.suffix.lower() == ".gpkg":
-        check_layers(path)
+    _check_replaceable(path)
     _write(pole_map, path, writers[path.suffix.lower()])
 
 

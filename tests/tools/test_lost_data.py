@@ -6,6 +6,8 @@ import hashlib
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pyogrio
 import pytest
 
@@ -167,6 +169,45 @@ def test_a_geopackage_with_layers_of_somebody_is_kept(
         assert "is no GeoPackage that can be read" in error
     assert error.splitlines()[-1].startswith("polemap: ")
     assert contents(place) == before
+
+
+_FEW_SEEN = ["--set", "polemap.mapping.observations_min=2"]
+_MAP = ["map", "in/drive", "--out", "a.gpkg", *_FEW_SEEN]
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["map", "in/drive", "--out", "a.geojson", *_FEW_SEEN], "a.geojson"),
+        (["map", "in/drive", "--out", "a.parquet", *_FEW_SEEN], "a.parquet"),
+        (["map", "--convert", "in/map.gpkg", "--out", "a.geojson"], "a.geojson"),
+        (["map", "--convert", "in/map.gpkg", "--out", "a.parquet"], "a.parquet"),
+        (["map", "--diff", "in/map.gpkg", "in/map.gpkg", "--out", "a.geojson"], "a.geojson"),
+        ([*_MAP, "--picture", "a.png"], "a.png"),
+        ([*_MAP, "--picture", "a.svg"], "a.svg"),
+        ([*_MAP, "--picture", "a.pdf"], "a.pdf"),
+        (["disparity", "l.png", "r.png", "--out", "a.png"], "a.png"),
+    ],
+)
+def test_only_a_file_that_polemap_wrote_is_replaced(
+    words: list[str], name: str, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = np.random.default_rng(1).integers(0, 255, (64, 160), dtype=np.uint8)
+    cv2.imwrite(str(place / "l.png"), picture)
+    cv2.imwrite(str(place / "r.png"), np.roll(picture, -5, axis=1))
+    theirs = place / name
+    if name.endswith(".png"):
+        cv2.imwrite(str(theirs), picture)
+    else:
+        theirs.write_text('{"type": "FeatureCollection", "features": [], "by": "somebody"}')
+    before = contents(place)
+    assert cli.run(words) == cli.USER_ERROR
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"polemap: {name}: is there already and was not written by polemap")
+    assert contents(place) == before
+    theirs.unlink()
+    for _ in range(2):
+        assert cli.run(words) == cli.GOOD, capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
