@@ -19,6 +19,7 @@ _HDOP_DOUBT = 20.0
 _DUPLICATES_MAX = 0.05
 _POLE_FAR_M, _POLE_NEAR_M = 200.0, 1.0
 _POLE_WIDTH_M = 3.0
+_PROBABILITY_DOUBT, _PROBABILITY_WRONG = 0.3, 0.02
 
 
 def vehicle_findings(drive: Drive) -> list[Finding]:
@@ -203,6 +204,7 @@ def pole_findings(drive: Drive) -> list[Finding]:
                 f"0 to {_POLE_WIDTH_M:g} m", "write width_m in metres, or leave the cells empty",
             )
         )  # fmt: skip
+    found += _probabilities(drive)
     variances = np.concatenate([scan.covariance_m2[:, 0, 0] for scan in drive.scans if len(scan)])
     if np.median(variances) > 25.0:
         found.append(
@@ -213,6 +215,32 @@ def pole_findings(drive: Drive) -> list[Finding]:
             )
         )  # fmt: skip
     return found
+
+
+def _probabilities(drive: Drive) -> list[Finding]:
+    """Probabilities of poles that are percentages, or so low that no pole is believed."""
+    given = np.concatenate([scan.probability for scan in drive.scans if len(scan)])
+    middle = float(np.median(given))
+    expected = "that it is a pole, from 0 to 1"
+    if middle > 1.0 or middle < 0.0:
+        return [
+            Finding(
+                "pole_probability", "error", drive.names.poles,
+                f"probability is {middle:.3g} in the median", expected,
+                "write 0.9 for 90 percent, or leave the column out",
+            )
+        ]  # fmt: skip
+    if middle >= _PROBABILITY_DOUBT:
+        return []
+    return [
+        Finding(
+            "pole_probability", "error" if middle < _PROBABILITY_WRONG else "warning",
+            drive.names.poles,
+            f"probability is {middle:.3g} in the median: its poles are taken for false detections, "
+            "and match nothing", expected,
+            "write 1 minus it if it is that of a false detection, or leave the column out",
+        )
+    ]  # fmt: skip
 
 
 def duplicate_findings(drive: Drive) -> list[Finding]:

@@ -35,6 +35,7 @@ _PRIOR_SD = np.array([3.0, 3.0, 0.3, 0.05, 0.004])
 # against an odometry from encoder and steering, within 1.5 m and 1.9 degrees
 _DOUBT = {True: (0.5, 0.5, np.radians(2.0)), False: (2.0, 2.0, np.radians(5.0))}
 _SDS = 5.0
+_WRONG_M = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +73,19 @@ def place_findings(drive: Drive, motion: Odometer, *, surveyed: bool) -> list[Fi
         said.append(f"{abs(y):.2f} m {'left' if y > 0 else 'right'} of")
     where = f"from {' and '.join(said)} the rear axle" if said else ""
     turned = f"turned by {np.degrees(yaw):.1f} degrees" if off[2] else ""
+    far = bool((np.abs(place.values[:2]) > _WRONG_M)[off[:2]].any())
+    # a car is no longer than that: an axis of another scale moves poles likewise
+    remedy = (
+        "check the units of x and y, each by itself"
+        if far
+        else ("correct the detector's mounting by this")
+    )
     return [
         Finding(
-            "pole_mounting", "warning", drive.names.poles,
+            "pole_mounting", "error" if far else "warning", drive.names.poles,
             f"its poles move as if seen {' and '.join(filter(None, (where, turned)))} "
             f"({place.matches} met again)", "poles in the vehicle frame, from the rear axle",
-            "correct the detector's mounting by this",
+            remedy,
         )
     ]  # fmt: skip
 

@@ -98,7 +98,7 @@ def _no_fixes(drive: Drive) -> list[Finding]:
         "gnss_no_fix": (drive.problems.get("gnss_at_zero", 0), names.gnss),
         "reference_no_pose": (drive.problems.get("reference_at_zero", 0), names.reference),
     }
-    return [
+    found = [
         Finding(
             kind, "warning", name, f"{count} rows at 0, 0, far from the others (left out)",
             "rows with a fix alone", "leave the rows out in which the receiver had no fix",
@@ -106,6 +106,16 @@ def _no_fixes(drive: Drive) -> list[Finding]:
         for kind, (count, name) in told.items()
         if count
     ]  # fmt: skip
+    repeated = drive.problems.get("gnss_old_fix_repeated", 0)
+    if repeated:
+        found.append(
+            Finding(
+                "gnss_repeated", "warning", names.gnss,
+                f"{repeated} rows repeat an old fix between others far from it (left out)",
+                "fixes that move with the car", "leave rows out that repeat an old fix",
+            )
+        )  # fmt: skip
+    return found
 
 
 def _few(drive: Drive) -> list[Finding]:

@@ -13,7 +13,12 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import EarthFrame, grid_from_geographic
 from polemap.drivelog.readers.drive_yaml import LONGEST_NAME
-from polemap.drivelog.readers.given import is_given, row_findings, without_zero_places
+from polemap.drivelog.readers.given import (
+    is_given,
+    row_findings,
+    without_repeated_places,
+    without_zero_places,
+)
 from polemap.drivelog.stamps import in_order, in_seconds
 from polemap.drivelog.streams import (
     GnssStream,
@@ -25,6 +30,8 @@ from polemap.drivelog.tables import Table, read_table
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
+# the poles are in no UTM zone; a receiver without a fix may say latitude 90
+_UTM_LATITUDE_DEG = 85.0
 
 
 def count_problems(table: Table, problems: Counter[str]) -> Table:
@@ -58,8 +65,25 @@ def _sensor(
     table = in_order(table, findings, duplicates="drop")
     if path.name in ("gnss.csv", "reference.csv"):
         table = without_zero_places(table, columns[:2])
+    if path.name == "gnss.csv":
+        table = without_repeated_places(table, columns)
+    if columns[0] == "latitude_deg":
+        _check_degrees(table)
+        beyond = np.abs(table["latitude_deg"]) > _UTM_LATITUDE_DEG
+        table = table.keep(~beyond, "latitude_beyond_utm")
     findings += row_findings(table)
     return count_problems(table, problems)
+
+
+def _check_degrees(table: Table) -> None:
+    latitude, longitude = table["latitude_deg"], table["longitude_deg"]
+    bad = np.flatnonzero((np.abs(latitude) > 90) | (np.abs(longitude) > 180))
+    if len(bad):
+        row = int(bad[0])
+        raise InputError(
+            f"{table.path}, line {table.lines[row]}: {latitude[row]}, {longitude[row]} is no "
+            "latitude and longitude in degrees"
+        )
 
 
 def read_odometry(
@@ -101,15 +125,7 @@ def read_gnss(
         table = _sensor(
             path, ("latitude_deg", "longitude_deg"), ("hdop", "arrival_s"), problems, findings
         )
-        latitude, longitude = table["latitude_deg"], table["longitude_deg"]
-        bad = np.flatnonzero((np.abs(latitude) > 90) | (np.abs(longitude) > 180))
-        if len(bad):
-            row = int(bad[0])
-            raise InputError(
-                f"{path}, line {table.lines[row]}: {latitude[row]}, {longitude[row]} is no "
-                "latitude and longitude in degrees"
-            )
-        points = grid_from_geographic(frame, latitude, longitude)
+        points = grid_from_geographic(frame, table["latitude_deg"], table["longitude_deg"])
     else:
         table = _sensor(path, ("east_m", "north_m"), ("hdop", "arrival_s"), problems, findings)
         points = np.stack([table["east_m"], table["north_m"]], axis=1)

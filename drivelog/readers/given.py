@@ -13,9 +13,12 @@ from polemap.drivelog.tables import Table
 
 _LOST_MAX = 0.01
 # left out for when they came, or with a finding of their own
-_APART = ("duplicate_stamps", "stamp_far_from_rest", "at_zero")
+_APART = ("duplicate_stamps", "stamp_far_from_rest", "at_zero", "old_fix_repeated")
 # of latitude and longitude zero from the other fixes, in degrees as in metres
 _ZERO_APART = {"latitude_deg": 0.01, "east_m": 100.0}
+# of a fix that comes back from those around it: metres, steps of these, and how often
+_REPEATED_M, _REPEATED_STEPS, _REPEATED_MIN = 20.0, 4.0, 4
+_DEGREE_M = 111_000.0
 
 
 def is_given(path: Path) -> bool:
@@ -77,3 +80,41 @@ def without_zero_places(table: Table, columns: tuple[str, ...]) -> Table:
     far = np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=0) > _ZERO_APART[columns[0]]
     zero[np.flatnonzero(zero)[~far]] = False
     return table.keep(~zero, "at_zero")
+
+
+def without_repeated_places(table: Table, columns: tuple[str, ...]) -> Table:
+    """The rows without those that give an old place again, far from where fixes around stand.
+
+    A receiver that has lost its fix may repeat its last one between others that are right.
+
+    Args:
+        table: the rows of gnss.csv.
+        columns: the two that name the place.
+    """
+    points = np.stack([table[name] for name in columns], axis=1)
+    if len(points) <= 2 * _REPEATED_MIN:
+        return table
+    if columns[0] == "latitude_deg":
+        narrower = np.cos(np.radians(np.clip(points[0, 0], -89.0, 89.0)))
+        points = points * _DEGREE_M * np.array([1.0, narrower])
+    _, place = np.unique(points, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    # rows after one another at one place are one visit
+    starts = np.flatnonzero(np.diff(place, prepend=-1) != 0)
+    at, visited = points[starts], place[starts]
+    counts = np.bincount(visited)
+    again = counts[visited] >= _REPEATED_MIN
+    if not again.any() or again.all():
+        return table
+    step = np.hypot(*np.diff(at[~again], axis=0).T)
+    limit = max(_REPEATED_M, _REPEATED_STEPS * float(np.median(step)) if len(step) else 0.0)
+    # against the nearest visits before and after of places that do not come back
+    after = np.cumsum(~again)
+    others = at[~again]
+    around = [others[np.clip(after + k, 0, len(others) - 1)] for k in (-1, 0)]
+    far = np.min([np.hypot(*(at - other).T) for other in around], axis=0) > limit
+    stale = again & far
+    if np.count_nonzero(stale) < _REPEATED_MIN:
+        return table
+    visit = np.cumsum(np.isin(np.arange(len(points)), starts)) - 1
+    return table.keep(~stale[visit], "old_fix_repeated")

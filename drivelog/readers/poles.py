@@ -72,9 +72,24 @@ def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> 
         problems["poles_arrival_before_stamp"] += int(np.count_nonzero(early))
     positive = (var_x > 0) & (var_y > 0) & (var_x * var_y > table["cov_xy_m2"] ** 2)
     table = table.keep(positive, "covariance_not_positive")
+    table = table.keep(_first_of_each(table), "same_pole_twice_in_a_scan")
     findings += row_findings(table)
     _count(table, problems)
     return table
+
+
+def _first_of_each(table: Table) -> NDArray[np.bool_]:
+    """Rows `(n,)` but for those that repeat a pole of the same scan, to the millimetre.
+
+    Twice the same error is no second measurement of a pole.
+    """
+    x, y = (np.round(table[name], 3) for name in ("x_m", "y_m"))
+    order = np.lexsort((y, x, table["stamp_s"]))
+    keys = np.stack([table["stamp_s"], x, y], axis=1)[order]
+    first = np.ones(len(table), dtype=np.bool_)
+    # a stable order: of rows that are alike the first in the file comes first
+    first[order[1:]] = (keys[1:] != keys[:-1]).any(axis=1)
+    return first
 
 
 def _check_crowd(table: Table) -> None:
