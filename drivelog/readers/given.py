@@ -14,6 +14,10 @@ from polemap.drivelog.tables import Table
 _LOST_MAX = 0.01
 # left out for when they came, or with a finding of their own
 _APART = ("duplicate_stamps", "stamp_far_from_rest", "at_zero", "old_fix_repeated")
+_REMEDIES = {
+    "same_pole_twice_in_a_scan": "write each pole of a scan once",
+    "latitude_beyond_utm": "leave the rows out in which the receiver had no fix",
+}
 # of latitude and longitude zero from the other fixes, in degrees as in metres
 _ZERO_APART = {"latitude_deg": 0.01, "east_m": 100.0}
 # of a fix that comes back from those around it: metres, steps of these, and how often
@@ -38,6 +42,10 @@ def is_given(path: Path) -> bool:
     raise InputError(f"{path}: is {what}, not a file; put the file there, or remove it")
 
 
+def _remedy(why: str) -> str:
+    return _REMEDIES.get(why, "write finite numbers in SI units")
+
+
 def row_findings(table: Table) -> list[Finding]:
     """A file without rows, and one of which many rows were left out for what they hold."""
     lost = {why: count for why, count in table.dropped.items() if why not in _APART}
@@ -57,7 +65,7 @@ def row_findings(table: Table) -> list[Finding]:
         Finding(
             "rows_left_out", ("note" if few else "warning") if len(table) else "error", name,
             f"{left_out} of {len(table) + left_out} rows cannot be used ({reasons})",
-            "none, or leave the row out", "write finite numbers in SI units",
+            "none, or leave the row out", "; ".join(dict.fromkeys(_remedy(why) for why in lost)),
         )
     ]  # fmt: skip
 

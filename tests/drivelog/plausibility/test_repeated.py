@@ -71,6 +71,8 @@ def test_a_pole_that_stands_twice_in_a_scan_counts_once(moved_m: float, folder: 
     assert found["rows_left_out"][:2] == ("warning", "poles.csv")
     assert f"{len(table) // 2} of {len(table)} rows" in found["rows_left_out"][2]
     after = open_drive(folder)
+    (told,) = (f for f in after.findings if f.kind == "rows_left_out")
+    assert told.remedy == "write each pole of a scan once"
     assert [len(scan) for scan in after.scans] == [len(scan) for scan in before.scans]
 
 
