@@ -43,6 +43,9 @@ _BEHIND_S, _MOST_WAITING = 0.3, 64
 _LATE_S = 0.05
 
 
+# a tick further ahead than this is of a clock that no longer counts
+_AHEAD_S = 1.0
+
 # samples that wait for their time, and how often it is looked whether it has come
 _MOST_HELD, _LOOK_S = 2000, 0.004
 
@@ -187,8 +190,9 @@ class Engine:
         now = self._now_s()
         if now is None:
             return None
-        if number is None:
-            return int(now * self._rate_hz) + 1
+        if number is None or number > (now + _AHEAD_S) * self._rate_hz:
+            # a stream may be read to its end before it is first asked; or its clock was set back
+            number = int((self.time.began_s - self._delay_s) * self._rate_hz) + 1
         oldest = int((now - _LATE_TICKS_S) * self._rate_hz)
         if number < oldest:
             self.counts["ticks_given_up"] += oldest - number

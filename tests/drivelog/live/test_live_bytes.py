@@ -101,10 +101,13 @@ def test_one_wild_stamp_moves_no_clock_and_a_step_does() -> None:
     clock = StreamTime(lambda: now[0])
     clock.note(5.0)
     clock.note(1e9)
+    clock.note(5.2)
+    assert clock.began_s == 5.0
     clock.note(5.0)
-    assert clock.now_s() == pytest.approx(5.0)
+    assert clock.now_s() == pytest.approx(5.2)
     for _ in range(4):
         clock.note(2000.0)
-    assert clock.now_s() == pytest.approx(5.0)
+    assert clock.now_s() == pytest.approx(5.2)
     clock.note(2000.1)  # the fifth that agrees: the recorder's clock was set
     assert clock.now_s() == pytest.approx(2000.1)
+    assert clock.began_s == pytest.approx(2000.1)

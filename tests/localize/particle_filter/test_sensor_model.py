@@ -185,6 +185,6 @@ def test_some_landmarks_are_rows_of_all() -> None:
     world = pole_map(rng.normal(size=(9, 2)), rng)
     rows = np.array([1, 4, 8])
     some, every = Landmarks.of(world, 0.7, rows), Landmarks.of(world, 0.7)
-    for name in ("points_m", "covariance_m2", "width_m", "detection", "rows"):
+    for name in ("points_m", "covariance_m2", "width_m", "detection", "ids"):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[rows])
     assert (len(some), len(every)) == (3, 9)
