@@ -48,12 +48,21 @@ def test_where_no_row_may_be_lost_it_is_named(tmp_path: Path) -> None:
 def test_a_scan_of_too_many_poles_is_refused(tmp_path: Path) -> None:
     drive = write_small(tmp_path / "drive")
     head = (drive / "poles.csv").read_text().splitlines()[0]
-    row = ",".join({"stamp_s": "100.05", "arrival_s": "100.1"}.get(name, "0.01")
-                   .replace("0.01", "0.001" if "cov" in name else "0.01")
-                   for name in head.split(","))  # fmt: skip
-    (drive / "poles.csv").write_text("\n".join([head, *[row] * 300]) + "\n")
+    fixed = {"stamp_s": "100.05", "arrival_s": "100.1"}
+
+    def rows(count: int) -> list[str]:
+        return [
+            ",".join(
+                fixed.get(name, str(1.0 + 0.01 * k) if name == "x_m" else
+                          "0.001" if "cov" in name else "0.01")
+                for name in head.split(",")
+            )
+            for k in range(count)
+        ]  # fmt: skip
+
+    (drive / "poles.csv").write_text("\n".join([head, *rows(300)]) + "\n")
     assert len(open_drive(drive).scans[0]) == 300
-    (drive / "poles.csv").write_text("\n".join([head, *[row] * 5000]) + "\n")
+    (drive / "poles.csv").write_text("\n".join([head, *rows(5000)]) + "\n")
     with pytest.raises(InputError, match=r"5000 poles at stamp_s 100.05.*, a scan may have 300"):
         open_drive(drive)
 
