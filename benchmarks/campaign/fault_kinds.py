@@ -80,6 +80,10 @@ KINDS: dict[str, Kind] = {
     "map doubled, 3 m off": doubled_map(3.0),
     "map of another street": other_map,
     "detector ranges x 0.9 from the start": scans_changed(ranges_times(0.9), start_s=-1.0),
+    "detector ranges x 1.1 from the start": scans_changed(ranges_times(1.1), start_s=-1.0),
+    "detector turned by 2 degrees from the start": scans_changed(
+        turned(np.radians(2.0)), start_s=-1.0
+    ),
     "detector ranges x 0.9": scans_changed(ranges_times(0.9)),
     "detector ranges x 1.1": scans_changed(ranges_times(1.1)),
     "detector turned by 2 degrees": scans_changed(turned(np.radians(2.0))),

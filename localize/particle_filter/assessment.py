@@ -101,7 +101,7 @@ class Assessment:
         narrow = len(modes) == 1 and major <= PROVEN_SD_M
         unmatched, held = self._judge_place(done, fit, pose, major, narrow=narrow)
         self._check_detector(done, pose, history, narrow=narrow, held=held)
-        hint_m, hint_rad = self._detector.check.hinted_sd
+        hint_m, hint_rad = self._detector.check.calibration_sd
         self.learned_spread = spread
         if hint_m > 0.0:
             # stated, but nothing that is learned from the pose

@@ -42,6 +42,8 @@ _SETTLED_SD, _SETTLED_M = 1.0, 20.0
 _CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
 # a hint that is gone is forgotten by this factor at every fit
 _HINT_KEPT = 0.7
+# of poles, before some have been matched
+_REACH_M = 15.0
 # sd of the errors that are met, for what is likely of one that is found
 _MET_SD = np.array([2.0, 2.0, 1.0]) * TOLERANCE
 # after a contradiction the calibration is acquitted when all looks since then say four times in a
@@ -83,7 +85,7 @@ class DetectorCheck:
         self._unproven_since_m: float | None = None
         self._proven = np.zeros(len(KINDS), dtype=np.int64)
         self._hint = np.zeros(len(KINDS))
-        self._speed_mps, self._reach_m = 0.0, 0.0
+        self._speed_mps, self._reach_m = 0.0, _REACH_M
         self.fit: StretchFit | None = None
 
     @property
@@ -94,7 +96,22 @@ class DetectorCheck:
     @property
     def hinted_sd(self) -> tuple[float, float]:
         """What the pose may be off by, m and rad, for an error that is likely but not proven."""
-        turn, scale, seconds = np.abs(self._hint)
+        return self._moved_by(np.abs(self._hint))
+
+    @property
+    def calibration_sd(self) -> tuple[float, float]:
+        """`hinted_sd`, and a turn that no pole has shown or excluded yet.
+
+        A turned detector shows on some way only; until then it moves the pose aside by as much of
+        the poles' distance. Ranges are asked for at the start, stamps move it along a little.
+        """
+        met, fit = _MET_SD[0], self.fit
+        sd = np.inf if fit is None else np.hypot(fit.sd[0], _UNEXPLAINED[0])
+        unknown = 1.0 / np.sqrt(1.0 / met**2 + 1.0 / sd**2)
+        return self._moved_by(np.hypot(self._hint, [unknown, 0.0, 0.0]))
+
+    def _moved_by(self, errors: Floats) -> tuple[float, float]:
+        turn, scale, seconds = errors
         sd_m = np.hypot(self._reach_m * np.hypot(turn, scale), seconds * self._speed_mps)
         return float(sd_m), float(turn)
 

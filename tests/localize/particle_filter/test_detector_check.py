@@ -190,6 +190,18 @@ def test_a_likely_error_widens_the_pose() -> None:
     assert largest_rad < 0.03
 
 
+def test_a_turn_that_no_pole_has_excluded_yet_widens_the_pose() -> None:
+    before_m, before_rad = DetectorCheck(PolesConfig()).calibration_sd
+    assert before_m > 0.2
+    assert before_rad == pytest.approx(np.radians(1.0), rel=0.2)
+    check, _ = drive(7)
+    assert check.hinted_sd[0] == 0.0
+    after_m, after_rad = check.calibration_sd
+    # side-slip is not told from a turn
+    assert 0.0 < after_m < 0.5 * before_m
+    assert after_rad < 0.5 * before_rad
+
+
 def test_a_finding_ends_when_the_stretch_excludes_it() -> None:
     _, found = drive(3, scale=0.9, until_m=70.0)
     assert "ranges" in found
