@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, transform_points
-from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.localize.place.along import SEARCH_EVERY_M
 from polemap.localize.place.finder import WRONG_MOST, PlaceFinder
-from polemap.localize.place.local_map import WINDOW_M, LocalMapBuilder
+from polemap.localize.place.local_map_builder import WINDOW_M, LocalMapBuilder
 from polemap.localize.place.patterns import MapPatterns
 from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
@@ -95,9 +94,8 @@ class PlaceClaims:
         """Take in a scan and the dead-reckoned pose `(3,)` of its moment."""
         self._way_m = travelled_m
         self._begin_m = travelled_m if self._begin_m is None else self._begin_m
-        poles = scan.of_kinds(LandmarkKind.POLE)
         for builder in self._builders:
-            builder.add_scan(poles, odometry_pose, travelled_m)
+            builder.add_scan(scan, odometry_pose, travelled_m)
 
     def claim(self, odometry_pose: Floats, *, needed: bool) -> Claim | None:
         """The car's place at a dead-reckoned pose `(3,)`; None while it may be elsewhere.

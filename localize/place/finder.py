@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
 from polemap.localize.place.evidence import Judged, judge, misses
-from polemap.localize.place.local_map import LocalMap, LocalMapBuilder
+from polemap.localize.place.local_map import LocalMap
+from polemap.localize.place.local_map_builder import LocalMapBuilder
 from polemap.localize.place.proposals import propose
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.vehicle.pose import compose, relative, wrap_angle

@@ -8,7 +8,8 @@ import pytest
 from polemap.drivelog.detections import VisibleRegion
 from polemap.localize.place.coverage import Coverage, seen_ground
 from polemap.localize.place.evidence import judge, misses
-from polemap.localize.place.local_map import LocalMap, LocalMapBuilder
+from polemap.localize.place.local_map import LocalMap
+from polemap.localize.place.local_map_builder import LocalMapBuilder
 from polemap.localize.place.proposals import _reached_sd, propose
 from polemap.localize.place.regularity import chance_density
 from polemap.map.pattern_index.build import build_index

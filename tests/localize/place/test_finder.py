@@ -7,7 +7,7 @@ import pytest
 
 from polemap.localize.place.along import find_along
 from polemap.localize.place.finder import PlaceFinder, Search, distinct
-from polemap.localize.place.local_map import LocalMapBuilder
+from polemap.localize.place.local_map_builder import LocalMapBuilder
 from polemap.map.pattern_index.build import build_index
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.vehicle.pose import wrap_angle

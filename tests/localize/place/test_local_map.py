@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polemap.localize.place.local_map import LocalMap, LocalMapBuilder
+from polemap.localize.place.local_map import LocalMap
+from polemap.localize.place.local_map_builder import LocalMapBuilder
 from polemap.vehicle.pose import inverse_transform_points, relative, transform_points
 from tests.pole_maps import plain_scan
 
