@@ -97,6 +97,24 @@ def test_what_lies_far_behind_is_forgotten() -> None:
     assert made.way_m == pytest.approx(20.0)
 
 
+def test_scans_of_which_no_map_was_asked_make_the_same_map() -> None:
+    rng = np.random.default_rng(6)
+    asked, unasked = LocalMapBuilder(window_m=20.0), LocalMapBuilder(window_m=20.0)
+    for way in np.arange(0.0, 60.0, 1.0):
+        pose = np.array([way, 0.0, 0.0])
+        seen = inverse_transform_points(pose, POLES) + 0.1 * rng.standard_normal(POLES.shape)
+        scan = plain_scan(way, seen[np.hypot(*seen.T) < 8.0])
+        for builder in (asked, unasked):
+            builder.add_scan(scan, pose, float(way))
+        asked._drift = np.zeros(3)
+        often = asked.local_map()
+    once = unasked.local_map()
+    assert often is not None
+    assert once is not None
+    np.testing.assert_array_equal(once.points_m, often.points_m)
+    np.testing.assert_array_equal(once.sightings, often.sightings)
+
+
 def test_the_mirror_image_is_the_other_side_of_the_street() -> None:
     made = driven(noise_m=0.05)
     mirrored = made.mirrored()
