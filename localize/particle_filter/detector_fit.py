@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.localize.particle_filter.pole_adjustment import Sightings, Solution, solve
 from polemap.vehicle.pose import rotation
 
 Floats = NDArray[np.float64]
@@ -27,8 +28,6 @@ _ODOMETRY_SD = (0.004, 0.002, 0.03, 0.04, 0.005)
 _CALIBRATION_SD = (0.012, 0.02, 0.1)
 # a map pole is known no better, and a detection, m
 _POLE_SD_M, _DETECTION_SD_M = 0.05, 0.03
-# of Huber's loss, in standard deviations of a detection; rounds of reweighting
-_HUBER, _ROUNDS = 2.5, 3
 TOLERANCE = np.array([0.0087, 0.02, 0.1])
 """A calibration is as good as this in use: 0.5 degrees, 2 %, 0.1 s (of a recording that is held
 good, Victoria Park, the laser's stamps are 0.07 s off)."""
@@ -99,27 +98,6 @@ class Change:
     sd: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """A robust solution: values, covariance, weights and residuals of the rows, their scatter."""
-
-    values: Floats
-    covariance: Floats
-    weight: Floats
-    rest: Floats
-    scatter: float
-
-    def of(self, chosen: slice, prior: Floats) -> StretchFit:
-        """Some of the values; what the prior alone knows of each is taken out again."""
-        variance = np.diag(self.covariance)[chosen]
-        alone = 1.0 / np.maximum(1.0 / variance - prior[chosen], 1e-12)
-        return StretchFit(
-            alone * self.values[chosen] / variance,
-            np.sqrt(alone) * max(1.0, self.scatter),
-            len(self.rest),
-        )
-
-
 class Stretch:
     """The normal equations of the last scans, for as many of the newest as one likes.
 
@@ -135,9 +113,8 @@ class Stretch:
         # a pole is known by its place: rows are of a window that may have moved on
         poles, column = np.unique(mapped, axis=0, return_inverse=True)
         column = column.ravel()
-        self._k, self._looks = k, len(looks)
+        self._k, self._column, self._looks = k, column, len(looks)
         self._travelled_m = np.array([look.travelled_m for look in looks])[k]
-        self._share = np.array([look.share for look in looks])[k]
         path = _path_to(pose, np.array([look.odometry_pose for look in looks]))
         speed = np.array([look.speed_mps for look in looks])
         turn_rate = np.array([look.yaw_rate_radps for look in looks])
@@ -146,7 +123,7 @@ class Stretch:
         map_to_car = np.swapaxes(rotation(path[:, 2]), 1, 2)[k]
         expected = np.einsum("nij,nj->ni", map_to_car, mapped - path[k, :2])
         aside = _left_of(expected)
-        design = np.zeros((len(k), 2, _COMMON + 2 * len(poles)))
+        design = np.zeros((len(k), 2, _COMMON))
         design[:, :, :2] = -map_to_car
         design[:, :, 2] = -np.einsum("nij,nj->ni", map_to_car, _left_of(mapped - pose[:2]))
         ways = np.array([look.travelled_m for look in looks]) - looks[-1].travelled_m
@@ -157,45 +134,23 @@ class Stretch:
         design[:, :, _FIRST + 1] = expected
         design[:, :, _FIRST + 2] = -turn_rate[k, None] * aside
         design[:, 0, _FIRST + 2] -= speed[k]
-        rows = np.arange(len(k))
-        for axis in (0, 1):
-            design[rows, :, _COMMON + 2 * column + axis] = map_to_car[:, :, axis]
         seen = np.concatenate([look.points_vehicle_m for look in looks])
         covariance = np.concatenate([look.covariance_m2 for look in looks])
         white = np.linalg.inv(np.linalg.cholesky(covariance + _DETECTION_SD_M**2 * np.eye(2)))
-        self._design = white @ design
-        self._target = np.einsum("nij,nj->ni", white, seen - expected)
+        member = (np.arange(len(poles))[:, None] == column).astype(np.float64)
+        target = np.einsum("nij,nj->ni", white, seen - expected)
+        share = np.array([look.share for look in looks])[k]
+        self._seen = Sightings.of(white @ design, white @ map_to_car, member, target, share)
         pole_var = np.zeros(len(poles))
         pole_var[column] = np.concatenate([look.map_var_m2 for look in looks])
-        sd = np.array(_PLACE_SD + _ODOMETRY_SD + _CALIBRATION_SD)
-        self._prior = np.concatenate(
-            [1.0 / sd**2, np.repeat(1.0 / np.maximum(pole_var, _POLE_SD_M**2), 2)]
-        )
+        self._place_prior = 1.0 / np.maximum(pole_var, _POLE_SD_M**2)
+        self._prior = 1.0 / np.array(_PLACE_SD + _ODOMETRY_SD + _CALIBRATION_SD) ** 2
 
     def fit(self, since_m: float) -> StretchFit:
-        """Fit what was seen from a way driven on; meaningless where that is nothing.
-
-        Source: Huber, Robust Statistics, chapter 7; the scatter's factor as Birge (1932).
-        """
-        kept = self._travelled_m >= since_m
-        solved = self._solve(kept, self._design[kept], self._prior)
-        return solved.of(slice(_FIRST, _COMMON), self._prior)
-
-    def _solve(self, kept: NDArray[np.bool_], design: Floats, prior: Floats) -> _Solved:
-        target, share = self._target[kept], self._share[kept]
-        weight = np.ones(len(target))
-        flat = design.reshape(-1, design.shape[2])
-        scatter = 1.0
-        for _ in range(_ROUNDS):
-            weighted = design * (share * weight)[:, None, None]
-            covariance = np.linalg.inv(weighted.reshape(flat.shape).T @ flat + np.diag(prior))
-            values = covariance @ (weighted.reshape(flat.shape).T @ target.ravel())
-            rest = np.hypot(*(target - design @ values).T)
-            weight = np.minimum(1.0, _HUBER / np.maximum(rest, 1e-9))
-            scatter = float(np.sqrt(0.5 * np.mean(np.minimum(rest, 2.0 * _HUBER) ** 2)))
-        return _Solved(
-            values, np.asarray(covariance, float), share * weight, target - design @ values, scatter
-        )
+        """Fit what was seen from a way driven on; meaningless where that is nothing."""
+        kept = self._seen.rows(self._travelled_m >= since_m)
+        solved = solve(kept, self._prior, self._place_prior)
+        return _fit_of(solved, slice(_FIRST, _COMMON), self._prior)
 
     def change(self) -> Change | None:
         """The change of the calibration that fits best; None where no scan has poles enough on
@@ -207,8 +162,8 @@ class Stretch:
         Source: Rao's score test; Andrews (1993), "Tests for parameter instability and structural
         change with unknown change point", Econometrica 61.
         """
-        every = np.ones(len(self._k), dtype=np.bool_)
-        solved = self._solve(every, self._design, self._prior)
+        seen = self._seen
+        solved = solve(seen, self._prior, self._place_prior)
         poles = np.cumsum(np.bincount(self._k, minlength=self._looks))
         scans = np.cumsum(np.bincount(self._k, minlength=self._looks) > 0)
         # a change at a scan leaves those before it on the other side
@@ -221,13 +176,14 @@ class Stretch:
             return None
         best, look, kind = -np.inf, 0, 0
         for j in range(_FIRST, _COMMON):
-            column = self._design[:, :, j]
+            column = seen.common[:, :, j]
             score = self._since(solved.weight * np.einsum("ni,ni->n", column, solved.rest))
             power = self._since(solved.weight * np.einsum("ni,ni->n", column, column))
-            ties = self._since(
-                solved.weight[:, None] * np.einsum("nip,ni->np", self._design, column)
+            shared = self._since(
+                solved.weight[:, None] * np.einsum("nic,ni->nc", seen.common, column)
             )
-            power = power - np.einsum("lp,pq,lq->l", ties, solved.covariance, ties)
+            own = solved.weight[:, None] * np.einsum("nia,ni->na", seen.place, column)
+            power = power - solved.variance_of(shared, self._since_at_poles(own))
             power = np.maximum(power, 1e-9)
             excess = (np.abs(score / power) - TOLERANCE[j - _FIRST]) * np.sqrt(power)
             at = int(places[excess[places].argmax()])
@@ -236,11 +192,10 @@ class Stretch:
         return self._changed(look, kind)
 
     def _changed(self, look: int, kind: int) -> Change:
-        step = np.where((self._k >= look)[:, None], self._design[:, :, _FIRST + kind], 0.0)
+        step = np.where((self._k >= look)[:, None], self._seen.common[:, :, _FIRST + kind], 0.0)
         before = np.arange(self._looks) < look
         back = np.where(before[:, None], _left_of(self._path[:, :2] - self._path[look, :2]), 0.0)
         lost = self._bent(before.astype(np.float64), back)
-        design = np.concatenate([self._design, lost[:, :, None], step[:, :, None]], axis=2)
         # where no pole was seen for a while nobody knows where in it the heading was lost
         last = self._k[self._k < look].max()
         near = (self._ways >= self._ways[last] - _NEAR_M) & (
@@ -250,8 +205,8 @@ class Stretch:
         lost_sd = np.hypot(_JUMP_RAD, _JUMP_SHARE * bend)
         sd = 10.0 * _CALIBRATION_SD[kind]
         prior = np.append(self._prior, [1.0 / lost_sd**2, 1.0 / sd**2])
-        every = np.ones(len(self._k), dtype=np.bool_)
-        fit = self._solve(every, design, prior).of(slice(len(prior) - 1, len(prior)), prior)
+        solved = solve(self._seen.with_columns(lost, step), prior, self._place_prior)
+        fit = _fit_of(solved, slice(len(prior) - 1, len(prior)), prior)
         slip = _BEND_RADM * bend / (2.0 * _NEAR_M) if kind == 0 else 0.0
         return Change(look, kind, float(fit.values[0]), float(np.hypot(fit.sd[0], slip)))
 
@@ -265,6 +220,23 @@ class Stretch:
         total = np.zeros((self._looks, *rows.shape[1:]))
         np.add.at(total, self._k, rows)
         return np.cumsum(total[::-1], axis=0)[::-1]
+
+    def _since_at_poles(self, rows: Floats) -> Floats:
+        """As `_since` of rows `(n, 2)`, for each pole apart: `(m, p, 2)`."""
+        total = np.zeros((self._looks, len(self._seen.member), 2))
+        np.add.at(total, (self._k, self._column), rows)
+        return np.cumsum(total[::-1], axis=0)[::-1]
+
+
+def _fit_of(solved: Solution, chosen: slice, prior: Floats) -> StretchFit:
+    """Some of the values; what the prior alone knows of each is taken out again."""
+    variance = np.diag(solved.covariance)[chosen]
+    alone = 1.0 / np.maximum(1.0 / variance - prior[chosen], 1e-12)
+    return StretchFit(
+        alone * solved.values[chosen] / variance,
+        np.sqrt(alone) * max(1.0, solved.scatter),
+        len(solved.rest),
+    )
 
 
 def _left_of(vectors: Floats) -> Floats:
