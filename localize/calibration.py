@@ -185,7 +185,7 @@ class OdometryCalibration:
 
     def learn_from_pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
         """Offer a rear-axle pose that poles hold; a stretch ends at it when it is long enough."""
-        if not self._config.learn_offsets:
+        if not (self._config.learn_offsets and self._config.learn_from_poses):
             return
         end = _Start(
             stamp_s,

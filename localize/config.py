@@ -48,6 +48,9 @@ class OdometryConfig(BaseModel):
     learn_offsets: bool = Field(
         True, description="Learn the offsets and scales of speed and yaw rate from the poles."
     )
+    learn_from_poses: bool = Field(
+        True, description="Off: only the yaw rate's offset is learned, where the car stands (S16)."
+    )
     learn_noise: bool = Field(
         True, description="Scale the motion noise to what the poles' corrections show."
     )
@@ -63,6 +66,23 @@ class OdometryConfig(BaseModel):
         le=SLIP_MAX_RAD_PER_MPS2,
         description="Outward slip of the rear axle per lateral acceleration, rad per m/s^2. Left "
         "out it is m l_f / (2 C_r l) of the car that the drive names, 0.006 where it names none.",
+    )
+    slip_sd_rad_per_mps2: float = Field(
+        0.0015,
+        ge=0.0,
+        le=SLIP_MAX_RAD_PER_MPS2,
+        description="How the slip differs from car to car, sd: every particle guesses its own. "
+        "Those of vehicle/cars lie within 1.1 of it.",
+    )
+    faults: bool = Field(
+        True,
+        description="Some particles hold the odometry for wrong, the more the harder the car "
+        "drives; off: none (S16).",
+    )
+    doubts: bool = Field(
+        True,
+        description="Odometry that is silent, or that itself, poles or fixes contradict, is not "
+        "followed; off: it always is (S16).",
     )
 
     @property
@@ -92,6 +112,27 @@ class PolesConfig(BaseModel):
     correlation_s: float = Field(
         1.0, gt=0.0, le=100.0, description="Time over which errors of seen poles stay alike, s."
     )
+    scan_errors: Literal["shared", "independent"] = Field(
+        "shared",
+        description="Shared: of a scan's likelihood the share counts that the two settings above "
+        "call new. Independent: every scan counts in full, equation (8) as printed.",
+    )
+    effective_share_min: float = Field(
+        0.03,
+        ge=0.0,
+        le=0.5,
+        description="Share of the particles that must stay effective; where a scan would leave "
+        "fewer, less of it counts. 0: it always counts in full (S16).",
+    )
+    map_covariance: bool = Field(
+        True,
+        description="Mapped poles are as uncertain as the map says; off: they are exact, equation "
+        "(7) as printed.",
+    )
+    existence: bool = Field(
+        True,
+        description="Seen and mapped poles count by the probability that they exist; off: all do.",
+    )
     view_range_m: float = Field(
         25.0, gt=0.0, le=500.0, description="Range of a sensor that does not say where it looks, m."
     )
@@ -117,6 +158,13 @@ class GnssConfig(BaseModel):
     outlier_share: float = Field(
         0.1, gt=0.0, lt=1.0, description="Share of fixes that may be wrong altogether."
     )
+    particles: bool = Field(
+        True, description="Fixes weigh the particles; off: they only start them (S16)."
+    )
+    output: bool = Field(
+        True,
+        description="Fixes start and bound the output filter; off: poses and odometry alone (S16).",
+    )
 
 
 class RecoveryConfig(BaseModel):
@@ -129,6 +177,22 @@ class RecoveryConfig(BaseModel):
     )
     lost_after_s: float = Field(
         3.0, gt=0.0, le=600.0, description="How long too few poles, or no fix, may fit, s."
+    )
+    restart: Literal["evidence", "spread"] = Field(
+        "evidence",
+        description="Evidence: poles that do not fit, fixes far away and a better place also start "
+        "the filter anew, and send particles around. Spread: `lost_sd_m` alone (S16).",
+    )
+    places: Literal["constellations", "gnss"] = Field(
+        "constellations",
+        description="Where particles start and explore: where the poles of the last metres fit, or "
+        "around the fixes alone (S16).",
+    )
+    exploration: Literal["bounded", "classic"] = Field(
+        "bounded",
+        description="Bounded: a fifth of the particles at most, once the likelihood is well below "
+        "its long-term average, weighed by the scan. Classic: Augmented MCL, a share of one less "
+        "the ratio of the two, weighed as the others.",
     )
 
 
@@ -190,8 +254,20 @@ class LocalizeConfig(BaseModel):
         description="Drift aside of the heading, sd, m per square root of a metre driven; not in "
         "the paper.",
     )
+    tight_turn_factor: float = Field(
+        1.4,
+        ge=0.0,
+        le=20.0,
+        description="Additional turn where the car turns on 5 m, in that of alpha3 and without "
+        "the bound of alpha4; not in the paper.",
+    )
     estimate: Literal["mean", "best_mode"] = Field(
         "best_mode", description="The pose: mean of all particles, or of their heaviest mode."
+    )
+    covariance: Literal["lasting_errors", "particles"] = Field(
+        "lasting_errors",
+        description="Of the pose: no less than what errors that last leave unknown, or that of "
+        "the particles (S16).",
     )
     kld: KldConfig = KldConfig()
     odometry: OdometryConfig = OdometryConfig()

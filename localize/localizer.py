@@ -104,9 +104,11 @@ class Localizer:
             else None
         )
         self._filter = OutputFilter(config.output, receiver, config.odometry.rear_slip_rad_per_mps2)
-        self._limiter = OutputLimiter()
+        self._limiter = OutputLimiter(limited=config.output.limit_corrections)
         self._health = config.health
-        self._watch = OdometryWatch()
+        # without a map fixes are all there is
+        self._fixes_out = config.gnss.output or pole_map is None
+        self._watch = OdometryWatch(doubts=config.odometry.doubts)
         # what the particle filter has learned
         self._correction = OdometryCorrection()
         self._perception = perception
@@ -125,6 +127,7 @@ class Localizer:
             processing_delay_s,
             on_update,
             config.odometry.rear_slip_rad_per_mps2,
+            offered=config.output.offered,
         )
 
     def add_sample(self, sample: Sample) -> PfEstimate | None:
@@ -277,8 +280,9 @@ class Localizer:
                 self.counts["gnss_not_finite"] += 1
                 return
             self._poses.release(fix.arrival_s)
-            placed = self._filter.add_gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
-            count_dropped(self.counts, "gnss", placed)
+            if self._fixes_out:
+                placed = self._filter.add_gnss(stamp, fix.east_m, fix.north_m, fix.hdop)
+                count_dropped(self.counts, "gnss", placed)
             if self._filter.started:
                 state = self._filter.newest
                 # what fixes have started says nothing of odometry while poles may yet do so

@@ -67,6 +67,9 @@ class OdometryWatch:
     The doubt ends when the speed steps back by about as much and to where a car may have got to,
     when poles confirm the odometry, or when nothing has spoken against it for `_SETTLED_S`: by then
     the spread has grown beyond any use, and poles must prove the pose.
+
+    Args:
+        doubts: off, every sample is believed.
     """
 
     # what tyres can do, and by how much a wheel sensor's own steps may exceed it: many show nothing
@@ -83,7 +86,8 @@ class OdometryWatch:
     # a turn of the wrong sign is right on every straight: once refuted again, it takes longer
     _FORGIVEN_S = 300.0
 
-    def __init__(self) -> None:
+    def __init__(self, *, doubts: bool = True) -> None:
+        self._doubts = doubts
         self._recent: deque[tuple[float, float, float]] = deque()
         self._held: Held | None = None
         self._contradicted_s = -inf
@@ -98,6 +102,8 @@ class OdometryWatch:
 
     def check(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> Held | None:
         """Take a sample in; what held before it while it is in doubt, None if it is believed."""
+        if not self._doubts:
+            return None
         recent = self._recent
         if recent and stamp_s <= recent[-1][0]:
             return self._held
@@ -128,6 +134,8 @@ class OdometryWatch:
 
     def contradict(self, stamp_s: float) -> None:
         """Poles or fixes say that the odometry is wrong; in what, nobody knows."""
+        if not self._doubts:
+            return
         self._refuted += self._held is None
         self._doubt(stamp_s, 0.0, turn=True, speed=True)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 from math import nan
+from typing import Literal
 
 from polemap.localize.output_filter.filter import OutputFilter, usable_pose
 from polemap.localize.particle_filter.estimate import PfEstimate
@@ -47,6 +48,7 @@ class PoseQueue:
         delay_s: from the arrival of a frame to its pose, in a replay.
         on_update: called with every pose once its fate is known.
         slip_rad_per_mps2: outward slip of the rear axle, until the particle filter knows better.
+        offered: poses that the particle filter's health speaks for, or all.
     """
 
     def __init__(
@@ -57,7 +59,10 @@ class PoseQueue:
         delay_s: float,
         on_update: Callable[[PoseUpdate], None] | None,
         slip_rad_per_mps2: float,
+        *,
+        offered: Literal["healthy", "all"] = "healthy",
     ) -> None:
+        self._all = offered == "all"
         self._output, self._counts, self._times = output, counts, times
         self._delay_s, self._on_update = delay_s, on_update
         self.slip_rad_per_mps2 = slip_rad_per_mps2
@@ -91,7 +96,7 @@ class PoseQueue:
         if problem is not None:
             self._counts[f"pose_{problem}"] += 1
             return f"dropped:{problem}", nan, nan
-        reason = not_offered(estimate)
+        reason = None if self._all else not_offered(estimate)
         if reason is not None:
             self._counts[f"not_offered_{reason}"] += 1
             return f"not_offered:{reason}", nan, nan

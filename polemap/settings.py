@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from difflib import get_close_matches
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -46,14 +47,32 @@ def load_settings(config_file: Path | None = None, set_values: list[str] | None 
         raise ConfigError(f"{place}: {first_problem(error, Settings)}") from error
 
 
+def shipped_settings() -> list[str]:
+    """Settings files that come with the package, as `--config` takes them."""
+    return sorted(f"papers/{f.name}" for f in (files("polemap") / "papers").iterdir())
+
+
+def _located(path: Path) -> Path:
+    """The path as it stands, or of the package where no file is there but the package has one."""
+    if path.exists() or path.as_posix() not in shipped_settings():
+        return path
+    return Path(str(files("polemap").joinpath("papers", path.name)))
+
+
 def read_tree(path: Path) -> dict[str, Any]:
-    """The keys of a `--config` file; none if it is empty.
+    """The keys of a `--config` file, of the user's or of `shipped_settings`; none if it is empty.
 
     Raises:
         ConfigError: it cannot be read or holds no keys.
     """
     with named(path, ConfigError, "settings file"):
-        tree = read_yaml(path)
+        found = _located(path)
+        if not found.exists():
+            raise ConfigError(
+                f"{path}: cannot be read (no such file; with the package come "
+                f"{', '.join(shipped_settings())})"
+            )
+        tree = read_yaml(found)
     if tree is None:
         return {}
     if not isinstance(tree, dict):

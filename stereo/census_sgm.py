@@ -25,8 +25,6 @@ class KernelOptions:
     """What the kernel can do otherwise, and no user should turn; figures in `docs/stereo.md`.
 
     Attributes:
-        smoothing: 1-2-1 sums of the image before all else, since the census of a noisy pixel is
-            noise: `upright` over three rows, which leaves the width of a pole alone, or `square`.
         subpixel: where between whole pixels: `equiangular` fits the V that the sums are,
             `parabola` stays too near to the whole pixel.
         median: a 3x3 median of the winners before the checks.
@@ -35,19 +33,14 @@ class KernelOptions:
         speckle_step_px: neighbours are connected if their disparities differ by no more.
         outside_cost: matching cost where the partner would lie outside the other image; half of
             the 24 bits, as of two pixels that have nothing in common.
-        cost_weight: how often the matching cost counts in the sum over paths, beside what each
-            path adds to it. In plain semi-global matching it counts once a path (8), so that one
-            noisy pixel outvotes all paths; 1 counts it once (Drory et al., GCPR 2014).
         instruction_set: auto, baseline, avx2 or avx512; the result is the same.
     """
 
-    smoothing: Literal["none", "upright", "square"] = "upright"
     subpixel: Literal["none", "parabola", "equiangular"] = "equiangular"
     median: bool = True
     speckle_rows: int = 16
     speckle_step_px: float = SPECKLE_STEP_PX
     outside_cost: int = 12
-    cost_weight: int = 1
     instruction_set: str = "auto"
 
 
@@ -117,7 +110,7 @@ class CensusSgm:
         return self._kernel.CensusMatcher(
             pairs=census_pairs(config.census),
             bits=bits,
-            smoothing=_SMOOTHING[options.smoothing],
+            smoothing=_SMOOTHING[config.smoothing],
             disparities=config.disparities,
             offset=config.min_disparity_px,
             paths=config.paths,
@@ -133,7 +126,7 @@ class CensusSgm:
             speckle_rows=options.speckle_rows,
             speckle_step_px=options.speckle_step_px,
             outside_cost=options.outside_cost,
-            cost_weight=options.cost_weight,
+            cost_weight=config.cost_weight,
             threads=config.threads,
             instruction_set=options.instruction_set,
         )

@@ -10,6 +10,7 @@ from polemap.plugins import MATCHERS, installed
 
 OWN_MATCHERS = ("census_sgm", "opencv_sgbm")
 Census = Literal["tall", "centre5x5", "symmetric7x7"]
+Preprocessing = Literal["none", "clahe", "rank7x7", "partial_ranks", "census_bytes"]
 
 LARGEST_PENALTY = 150  # a path cost must fit one byte
 LARGEST_SUM = 255  # what the vertical and two diagonal paths add must fit one byte, too
@@ -132,6 +133,31 @@ class StereoConfig(BaseModel):
             "`tall` compares 24 pairs in a window 9 to 11 rows high and 3 to 5 columns "
             "wide, as poles are; `centre5x5` 24 neighbours with the centre; `symmetric7x7` "
             "the 24 pairs of opposite pixels of a 7x7 window."
+        ),
+    )
+    smoothing: Literal["none", "upright", "square"] = Field(
+        default="upright",
+        description=(
+            "1-2-1 sums of the image before the census, since that of a noisy pixel is noise: "
+            "`upright` over three rows, which leaves the width of a pole alone, or `square`; "
+            "`none` in S16."
+        ),
+    )
+    cost_weight: int = Field(
+        default=1,
+        ge=1,
+        le=8,
+        description=(
+            "How often the matching cost counts in the sum over the paths: once (Drory et al., "
+            "GCPR 2014), or once a path (4 or 8), as plain semi-global matching has it."
+        ),
+    )
+    opencv_preprocessing: Preprocessing = Field(
+        default="clahe",
+        description=(
+            "What `opencv_sgbm` is given to see: the images as they are, with their local contrast "
+            "evened out (CLAHE), ranks in a 7x7 window, those of its three thirds, or the 24 bits "
+            "of a 5x5 census as three channels (docs/stereo.md)."
         ),
     )
     uint16_bits: int = Field(

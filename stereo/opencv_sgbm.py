@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from polemap.stereo.census import census_planes, partial_ranks, rank_transform
 from polemap.stereo.checks import SPECKLE_STEP_PX, check_left_right, check_pair, without_speckles
-from polemap.stereo.config import StereoConfig
+from polemap.stereo.config import Preprocessing, StereoConfig
 from polemap.stereo.matching_types import DisparityPair, Image
 from polemap.stereo.rig import StereoRig
-
-Preprocessing = Literal["none", "clahe", "rank7x7", "partial_ranks", "census_bytes"]
 
 _MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
@@ -29,21 +27,16 @@ _SUBPIXELS = 16.0
 
 @dataclass(frozen=True, slots=True)
 class OpenCvOptions:
-    """StereoSGBM's own options, and what is put in front of it.
-
-    Of what was measured (`benchmarks.stereo.accuracy`), CLAHE keeps most poles; ranks and census
-    bytes lose more thin ones.
+    """StereoSGBM's own options.
 
     Attributes:
         mode: StereoSGBM's own name of its paths.
-        preprocessing: done to both images first.
         block_size_px: edge of the matched block.
         p1, p2: penalties of a change by one pixel and by more, per squared block pixel and
             channel, as OpenCV's own examples give them.
     """
 
     mode: Literal["sgbm", "3way", "hh", "hh4"] = "3way"
-    preprocessing: Preprocessing = "clahe"
     block_size_px: int = 3
     p1: int = 8
     p2: int = 32
@@ -95,7 +88,7 @@ class OpenCvSgbm:
             StereoError: images of different size or type, or too small for the search range.
         """
         check_pair(left, right, self._config, self._rig)
-        kind = self._options.preprocessing
+        kind = self._config.opencv_preprocessing
         with ThreadPoolExecutor(max_workers=2) as pool:
             left8, right8 = pool.map(lambda image: preprocess(image, kind), (left, right))
             flipped = [np.ascontiguousarray(image[:, ::-1]) for image in (right8, left8)]

@@ -12,7 +12,8 @@ from polemap.drivelog.errors import ConfigError
 from polemap.extras import MissingExtraError, check_installed
 
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", help="YAML file that overrides defaults.")
+    Path | None,
+    typer.Option("--config", help="YAML that overrides defaults, or papers/s16.yaml."),
 ]
 SetOption = Annotated[
     list[str] | None,

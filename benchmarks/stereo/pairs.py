@@ -169,10 +169,11 @@ def variants(disparities: int = 128) -> dict[str, Variant]:
         {"preprocessing": "partial_ranks", "block_size_px": 3, "p1": 24, "p2": 96},
         {"preprocessing": "census_bytes", "block_size_px": 3, "p1": 24, "p2": 96},
     ]
-    for options in settings:
-        name = f"opencv 3way {options['preprocessing']} {options['block_size_px']} {options['p1']}"
-        found[name] = Variant(StereoConfig(**base), OpenCvOptions(**options))
-    for mode in ("sgbm", "hh"):
-        options = {**settings[0], "mode": mode}
-        found[f"opencv {mode} none 5 16"] = Variant(StereoConfig(**base), OpenCvOptions(**options))
+    for number, options in enumerate(settings):
+        kind = options.pop("preprocessing")
+        config = StereoConfig(**base, opencv_preprocessing=kind)
+        name = f"3way {kind} {options['block_size_px']} {options['p1']}"
+        found[f"opencv {name}"] = Variant(config, OpenCvOptions(**options))
+        for mode in ("sgbm", "hh") if number == 0 else ():
+            found[f"opencv {mode}{name[4:]}"] = Variant(config, OpenCvOptions(**options, mode=mode))
     return found

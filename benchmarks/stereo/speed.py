@@ -36,8 +36,10 @@ def matchers() -> dict[str, tuple[StereoMatcher, int]]:
                 name = f"census_{kind}_{paths}paths_{right}_{disparities}"
                 found[name] = make_matcher(config, kernel=kernel), disparities
         for mode in ("sgbm", "3way"):
-            config = StereoConfig(matcher="opencv_sgbm", disparities=disparities)
-            opencv = OpenCvOptions(mode=mode, preprocessing="none")
+            config = StereoConfig(
+                matcher="opencv_sgbm", disparities=disparities, opencv_preprocessing="none"
+            )
+            opencv = OpenCvOptions(mode=mode)
             found[f"opencv_{mode}_{disparities}"] = (
                 make_matcher(config, opencv=opencv),
                 disparities,

@@ -20,12 +20,16 @@ MAX_AGE_S = 3.0
 class FixWeights:
     """The fixes that no scan has met yet, and the newest of those that one has.
 
+    Args:
+        receiver: how well it measures.
+        weigh: whether they weigh particles; without, they only say how far away they are.
+
     Attributes:
         information_per_m2: of each axis of the position, that the last scan met.
     """
 
-    def __init__(self, receiver: GnssReceiver) -> None:
-        self._receiver = receiver
+    def __init__(self, receiver: GnssReceiver, *, weigh: bool = True) -> None:
+        self._receiver, self._weigh = receiver, weigh
         self._waiting: list[GnssFix] = []
         self._last_s: float | None = None
         self._newest: tuple[GnssFix, Floats] | None = None
@@ -53,6 +57,8 @@ class FixWeights:
             share = self._independent_share(fix.stamp_s - last)
             moved = relative(now, history.odometry_pose(fix.stamp_s))
             self._newest = (fix, moved)
+            if not self._weigh:
+                continue
             self.information_per_m2 += share / self._receiver.sd_m(fix.hdop) ** 2
             log_weights = log_weights + share * gnss_log_likelihood(
                 rear_poses, fix, self._receiver, moved

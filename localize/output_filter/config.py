@@ -36,6 +36,29 @@ class OutputConfig(BaseModel):
         "than the pose that it was given. Independent: each pose is a measurement of its own, as a "
         "plain EKF has it.",
     )
+    pose_floor: bool = Field(
+        True, description="A pose is 0.03 m and 0.003 rad (sd) less sure than it says."
+    )
+    offered: Literal["healthy", "all"] = Field(
+        "healthy",
+        description="Poses of the particle filter that are taken in: those that its health speaks "
+        "for, or all (S16).",
+    )
+    failed_gate: Literal["recover", "ignore"] = Field(
+        "recover",
+        description="Poses that go on failing the gate: the output grants itself more uncertainty "
+        "and goes to them at last, or ignores them until they pass (S16).",
+    )
+    learn_odometry: bool = Field(
+        True,
+        description="The scale of the speed and the offset of the yaw rate are states; off: the "
+        "five states of S16.",
+    )
+    limit_corrections: bool = Field(
+        True,
+        description="Between two ticks the output is corrected by 1.5 m/s and 0.4 rad/s at most; "
+        "off: by all that the filter says (S16).",
+    )
     reinitialize_after_s: float = Field(
         2.0,
         gt=0.0,

@@ -63,7 +63,7 @@ def reject(
     rival = rival._replace(rejected=rival.rejected + 1)
     lasted = state.stamp_s - rival.since_s
     state = state._replace(counts=counts, rival=rival, nis=nis)
-    if lasted < INFLATE_AFTER_S:
+    if lasted < INFLATE_AFTER_S or config.failed_gate == "ignore":
         return state._replace(decision="ignored")
     if lasted < config.reinitialize_after_s:
         counts = counts._replace(inflations=counts.inflations + 1)

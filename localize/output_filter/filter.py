@@ -8,6 +8,7 @@ rejection policy, counts) is part of the state, so a replay decides again, as in
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +82,10 @@ class OutputFilter:
     ) -> None:
         self._config = config
         self._receiver = receiver
+        if not config.pose_floor:
+            noise = replace(noise, pose_floor_m=0.0, pose_floor_rad=0.0)
+        if not config.learn_odometry:
+            noise = replace(noise, speed_scale_sd=0.0, yaw_rate_offset_sd_radps=0.0)
         self._model = noise
         self._noise = noise.densities(receiver.config.sd_m, receiver.config.correlation_s)
         self._slip = slip_rad_per_mps2

@@ -55,9 +55,14 @@ class OutputPose:
 
 
 class OutputLimiter:
-    """Turns the filter's states at rising stamps into the output."""
+    """Turns the filter's states at rising stamps into the output.
 
-    def __init__(self) -> None:
+    Args:
+        limited: off, every correction comes at once.
+    """
+
+    def __init__(self, *, limited: bool = True) -> None:
+        self._limited = limited
         self._last: tuple[float, Pose] | None = None
         self._jumps = 0
 
@@ -101,6 +106,8 @@ class OutputLimiter:
         return x, y, yaw
 
     def _approach(self, state: FilterState) -> Pose:
+        if not self._limited:
+            return state.mean[:3]
         x, y, yaw = self._carried(state)
         dt = state.stamp_s - self.last_stamp_s
         dx, dy = state.mean[0] - x, state.mean[1] - y

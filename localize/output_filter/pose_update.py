@@ -43,7 +43,7 @@ def update_by_pose(
     noise, covariance = _square(event.upper), unpack(state.upper)
     residual = angle_residual(np.array(event.pose), np.array(state.mean[:3]), angle_rows=(2,))
     innovation = innovate(residual, covariance, _POSE_ROWS, noise)
-    lost = _lost(covariance)
+    lost = config.failed_gate == "recover" and _lost(covariance)
     if fails_gate(innovation.nis, limit) and not lost:
         return reject(state, event, innovation.nis, limit, config)
     if state.last_pose_s == NEVER or lost:

@@ -103,7 +103,7 @@ class Assessment:
         self._check_detector(done, pose, history, narrow=narrow, held=held)
         hint_m, hint_rad = self._detector.check.calibration_sd
         self.learned_spread = spread
-        if hint_m > 0.0:
+        if hint_m > 0.0 and self._config.covariance != "particles":
             # stated, but nothing that is learned from the pose
             spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
         opinion = self._odometry.opinion(particles, fit.matched, done.step.elapsed_s)
@@ -147,15 +147,16 @@ class Assessment:
         major, minor = position_sd(covariance)
         modes = modes_of(rear, weights, mean, covariance)
         pose, spread = mean, covariance
+        particles_alone = self._config.covariance == "particles"
         if self._config.estimate == "best_mode" and modes:
             pose, spread = best_pose(mean, covariance, modes)
         twins = self._twins.offset_at(pose[:2])
-        if twins.any():
+        if twins.any() and not particles_alone:
             # of two places as far apart as the map's two surveys nobody knows which
             spread = spread.copy()
             spread[:2, :2] += np.outer(twins, twins)
             major = float(np.hypot(major, np.hypot(*twins)))
-        if self._recovery.proof.proven:
+        if self._recovery.proof.proven and not particles_alone:
             spread = spread.copy()
             spread[:2, :2] += self._recovery.strange.map_sd_m**2 * np.eye(2)
         return pose, spread, modes, major, minor
@@ -165,6 +166,8 @@ class Assessment:
     ) -> tuple[Floats, float]:
         """Covariance that is nowhere below what errors that stay with the poles leave, and the
         larger deviation of position."""
+        if self._config.covariance == "particles":
+            return spread, major
         if done.event == "initialized":
             self.persistent.start(done.before)
         self.persistent.add_fixes(done.before, self._fixes.information_per_m2)

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 # times of the two averages, and the ratio of the short one to the long one below which exploring
 # begins; our choice, as the book leaves them open
-_SHORT_S, _LONG_S, _MARGIN = 1.0, 20.0, 0.4
+_SHORT_S, _LONG_S = 1.0, 20.0
 _FULL_WEIGHT_POLES = 4.0
 _CANDIDATE_SD_M = 0.25
 _CANDIDATE_SD_RAD = 0.02
@@ -46,14 +46,29 @@ def normalized_quality(result: PoseLikelihoods, weights: Floats, seen: int) -> Q
     return Quality(float(value), float(weights @ possible))
 
 
+def plain_quality(result: PoseLikelihoods, weights: Floats, seen: int) -> Quality:
+    """The k-th root of the likelihood of k matched poles as it stands, the particles' mean.
+
+    Every scan that sees a pole counts in full.
+
+    Source: Spangenberg (2016), section IV-C; Thrun, Burgard, Fox (2005), table 8.3.
+    """
+    value = weights @ np.exp(result.log_likelihood / np.maximum(result.matched, 1))
+    return Quality(float(value), _FULL_WEIGHT_POLES if seen else 0.0)
+
+
 class LikelihoodAverages:
     """Short- and long-term average of the quality; their ratio is the call for exploration.
 
-    Source: Thrun, Burgard, Fox (2005), table 8.3.
+    Args:
+        share_max: largest share of the particles that is drawn anew.
+        margin: ratio below which that begins.
+
+    Source: Thrun, Burgard, Fox (2005), table 8.3, with a margin of 1.
     """
 
-    def __init__(self, share_max: float) -> None:
-        self._share_max = share_max
+    def __init__(self, share_max: float, margin: float) -> None:
+        self._share_max, self._margin = share_max, margin
         self._short = self._long = 0.0
         self._age_s = 0.0
         self._last_s = -np.inf
@@ -77,7 +92,7 @@ class LikelihoodAverages:
         """Share of the particles that should be drawn anew, 0 to `share_max`."""
         if self._age_s < _SHORT_S or self._long <= 0.0:
             return 0.0
-        missing = 1.0 - self._short / (_MARGIN * self._long)
+        missing = 1.0 - self._short / (self._margin * self._long)
         return float(np.clip(missing, 0.0, self._share_max))
 
     def reset(self) -> None:

@@ -19,7 +19,6 @@ from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.assessment import Assessment, Weighed
 from polemap.localize.particle_filter.estimate import Event, PfEstimate, mean_and_covariance
-from polemap.localize.particle_filter.exploration import normalized_quality
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.motion_noise import NoiseScale
 from polemap.localize.particle_filter.odometry_faults import demand
@@ -27,7 +26,7 @@ from polemap.localize.particle_filter.odometry_trust import OdometryTrust
 from polemap.localize.particle_filter.particles import ParticleSet, log_mean
 from polemap.localize.particle_filter.pole_weigher import (
     PoleWeigher,
-    independent_share,
+    counted_share,
     tempered,
 )
 from polemap.localize.particle_filter.recovery import Recovery, Step
@@ -49,8 +48,6 @@ _START_FACTOR = 4
 _ARC_S = 0.06
 # a pose older than this is no start: the odometry that is kept must reach back to it
 _STALE_S = 60.0
-# share of the particles that must stay effective when a sharp scan meets wide-spread particles
-_MIN_EFFECTIVE_SHARE = 0.03
 
 
 class ParticleFilter:
@@ -87,7 +84,7 @@ class ParticleFilter:
         self._recovery = Recovery(poles, config.recovery, receiver, self._weigher, rng, self.counts)
         self._in_background = load_in_background
         self._use_patterns(pole_map)
-        self._fixes = FixWeights(receiver)
+        self._fixes = FixWeights(receiver, weigh=config.gnss.particles)
         self._wheelbase_m = wheelbase_m
         self._particles = ParticleSet(config, wheelbase_m, rng)
         self._stamp_s = -np.inf
@@ -95,7 +92,7 @@ class ParticleFilter:
         self._scan_evidence = 0.0
         self._used_share = 0.0
         self._trusted = False
-        self._odometry = OdometryTrust()
+        self._odometry = OdometryTrust(config.odometry)
         twins = TwinPoles(poles)
         self._window.users += [self._weigher, self._recovery, twins]
         self._assessment = Assessment(
@@ -204,7 +201,8 @@ class ParticleFilter:
             )
             if self._odometry.release(self._particles, arcs, held_before, held_after):
                 self._recovery.search.forget_poles()
-            if self._recovery.proof.proven and self._particles.motion is None:
+            followed = self._recovery.proof.proven and self._particles.motion is None
+            if followed and self._config.odometry.faults:
                 self._particles.faults.step(
                     stamp - self._stamp_s,
                     *demand(self._history, stamp),
@@ -219,7 +217,7 @@ class ParticleFilter:
                 self._calibration.uncertainty(*self._history.rates_at(stamp)),
             )  # fmt: skip
             self._recovery.scatter(self._particles, stamp, travelled)
-            share = independent_share(
+            share = counted_share(
                 travelled - self._travelled_m, stamp - self._stamp_s, self._config.poles
             )
         else:
@@ -232,6 +230,8 @@ class ParticleFilter:
                 return None
             self._particles.place_all(drawn, np.zeros(len(drawn)))
             event, share = "initialized", _FIRST_SHARE
+            if self._config.poles.scan_errors == "independent":
+                share = 1.0
         step = Step(odometry_pose, travelled - self._travelled_m, stamp - self._stamp_s, travelled)
         self._stamp_s, self._travelled_m = stamp, travelled
         particles = self._particles
@@ -252,6 +252,7 @@ class ParticleFilter:
         estimate = self._assessment.estimate(done, self._history, self.correction)
         self._pose, self._odometry_pose = estimate.pose, odometry_pose
         particles.resample_by_weight(estimate.health.n_eff)
+        self._recovery.inject(particles, scan, odometry_pose)
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
         if not self._trusted:
@@ -287,7 +288,7 @@ class ParticleFilter:
             particles.log_weights,
             result.log_likelihood,
             share,
-            _MIN_EFFECTIVE_SHARE * len(particles),
+            self._config.poles.effective_share_min * len(particles),
         )
         weighed = mean_and_covariance(rear, particles.weights)
         steady = self._trusted and not self._odometry.doubted
@@ -295,6 +296,6 @@ class ParticleFilter:
         self._odometry.add_correction(scan.stamp_s, expected, weighed, trusted=self._trusted)
         self._scan_evidence = log_mean(result.log_likelihood, before)
         self._recovery.averages.add_quality(
-            scan.stamp_s, normalized_quality(result, before, len(scan))
+            scan.stamp_s, self._recovery.quality(result, before, len(scan))
         )
         return expected[1]

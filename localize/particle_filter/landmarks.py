@@ -36,13 +36,26 @@ class Landmarks:
 
     @classmethod
     def of(
-        cls, pole_map: PoleMap, p_detection: float, rows: NDArray[np.int64] | None = None
+        cls,
+        pole_map: PoleMap,
+        p_detection: float,
+        rows: NDArray[np.int64] | None = None,
+        *,
+        uncertain: bool = True,
+        doubtful: bool = True,
     ) -> Landmarks:
-        """Some poles of a map, or all; one that may no longer stand is expected less."""
+        """Some poles of a map, or all.
+
+        Args:
+            uncertain: whether they have the map's covariance, or none.
+            doubtful: whether one that may no longer stand is expected less.
+        """
         if rows is None:
             rows = np.arange(len(pole_map))
         covariance = pole_map.covariance_m2.reshape(-1, 2, 2)[rows]
-        existence = np.clip(pole_map.existence[rows], 0.05, 1.0)
+        existence = np.clip(pole_map.existence[rows], 0.05, 1.0) if doubtful else np.ones(len(rows))
+        if not uncertain:
+            covariance = np.zeros_like(covariance)
         return cls(
             pole_map.kind[rows],
             np.ascontiguousarray(pole_map.points_m.reshape(-1, 2)[rows]),

@@ -18,9 +18,8 @@ Floats = NDArray[np.float64]
 
 # the step that the alphas are given for: odometry at 50 Hz
 REFERENCE_STEP_S = 0.02
-# a turn as tight as a car park's, where tyres and steering gear leave their linear range, and what
-# the additional turn is there, in that of the road
-_TIGHT_RADPM, _TIGHT_FACTOR = 0.2, 1.4
+# a turn as tight as a car park's, where tyres and steering gear leave their linear range
+_TIGHT_RADPM = 0.2
 
 
 def sample_motion(
@@ -97,7 +96,7 @@ def tight_turn_sd(arc: Arc, config: LocalizeConfig) -> float:
     if arc.yaw_rate_radps == 0.0 or arc.speed_mps == 0.0:
         return 0.0
     tight = min(1.0, abs(arc.yaw_rate_radps / arc.speed_mps) / _TIGHT_RADPM)
-    alpha3 = _TIGHT_FACTOR * config.alpha3_rotation_s
+    alpha3 = config.tight_turn_factor * config.alpha3_rotation_s
     return float(tight * alpha3 * abs(arc.yaw_rate_radps) * np.sqrt(arc.dt_s / REFERENCE_STEP_S))
 
 

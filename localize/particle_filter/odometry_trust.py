@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import OdometrySample
+from polemap.localize.config import OdometryConfig
 from polemap.localize.contradictions import OdometryAgreement, PoleInnovations
 from polemap.localize.odometry_history import Arc
 from polemap.localize.odometry_watch import Held
@@ -33,7 +34,8 @@ class OdometryTrust:
         doubted: whether odometry was silent or in doubt on the way to the last scan.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, config: OdometryConfig) -> None:
+        self._doubts = config.doubts
         self.doubted = False
         self._held: Held | None = None
         self._silent = False
@@ -76,6 +78,8 @@ class OdometryTrust:
             arcs: that they are to move along.
             before, after: rates of the odometry at the begin and the end of the arcs.
         """
+        if not self._doubts:
+            return False
         silent = any(arc.blind_s > 0.0 for arc in arcs)
         if silent and not self._silent:
             particles.motion = None
@@ -116,11 +120,15 @@ class OdometryTrust:
         trusted: bool,
     ) -> None:
         """Take in what a scan corrected, mean `(3,)` and covariance `(3, 3)` before and after."""
+        if not self._doubts:
+            return
         steady = trusted and not self.doubted
         self._refuted = self._innovations.contradict(stamp_s, before, after, steady=steady)
 
     def opinion(self, particles: ParticleSet, matched: int, elapsed_s: float) -> Opinion | None:
         """What poles say of the odometry after a scan; None where they do not know."""
+        if not self._doubts:
+            return None
         if not self.doubted:
             share = particles.faulty_share if particles.fault_evidence > _EVIDENCE else 0.0
             faulty = self._faults.confirm(share, matched, elapsed_s)

@@ -19,8 +19,6 @@ Floats = NDArray[np.float64]
 
 # share of effective particles below which they are drawn anew (S16, section IV)
 _RESAMPLE_BELOW = 0.5
-# how the slip differs from car to car: those of vehicle/cars lie within 1.1 of it
-_SLIP_SD_RAD_PER_MPS2 = 0.0015
 # log-weight of a particle that followed an odometry that took it back
 _DROPPED = -5.0
 # where hardly any particle should be faulty, a few are no evidence
@@ -158,7 +156,8 @@ class ParticleSet:
 
     def _drawn_slips(self, count: int) -> Floats:
         """Slip of newcomers: from what is known of any car, for which none is negative."""
-        mean, sd = self._config.odometry.rear_slip_rad_per_mps2, _SLIP_SD_RAD_PER_MPS2
+        odometry = self._config.odometry
+        mean, sd = odometry.rear_slip_rad_per_mps2, odometry.slip_sd_rad_per_mps2
         return np.abs(mean + sd * self._rng.standard_normal(count))
 
 

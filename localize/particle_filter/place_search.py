@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +46,13 @@ _NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.em
 class PlaceSearch:
     """Follows GNSS and the poles of the last metres, and draws poses from both on demand."""
 
-    def __init__(self, pole_map: PoleMap, receiver: GnssReceiver) -> None:
+    def __init__(
+        self,
+        pole_map: PoleMap,
+        receiver: GnssReceiver,
+        places: Literal["constellations", "gnss"] = "constellations",
+    ) -> None:
+        self._by_poles = places == "constellations"
         self._claims: PlaceClaims | None = None
         self._receiver = receiver
         self._alignment = GnssAlignment(receiver)
@@ -188,6 +196,8 @@ class PlaceSearch:
     def _search(
         self, odometry_pose: Floats, gnss: GnssPose | None, rng: np.random.Generator
     ) -> Candidates:
+        if not self._by_poles:
+            return _NO_CANDIDATES
         if gnss is None and self._claims is not None:
             return self._claimed(odometry_pose, needed=True)
         points = self._recent.around(odometry_pose)

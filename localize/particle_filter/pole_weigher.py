@@ -70,7 +70,7 @@ class PoleWeigher:
 
     def __init__(self, pole_map: PoleMap, config: LocalizeConfig) -> None:
         self._map = pole_map
-        self._p_detection = config.p_detection
+        self._p_detection, self._poles = config.p_detection, config.poles
         self._model = PoleModel.of(config)
         self._view = default_view(config.poles)
         self._threads = config.threads
@@ -92,7 +92,13 @@ class PoleWeigher:
         return self._landmarks(np.unique(np.concatenate(found)))
 
     def _landmarks(self, rows: NDArray[np.int64]) -> Landmarks:
-        return Landmarks.of(self._map, self._p_detection, rows)
+        return Landmarks.of(
+            self._map,
+            self._p_detection,
+            rows,
+            uncertain=self._poles.map_covariance,
+            doubtful=self._poles.existence,
+        )
 
     def weigh(
         self, rear_poses: Floats, scan: Detections, landmarks: Landmarks | None = None
@@ -163,6 +169,13 @@ class PoleWeigher:
 
     def _view_of(self, scan: Detections) -> VisibleRegion:
         return scan.view if scan.view is not None else self._view
+
+
+def counted_share(moved_m: float, elapsed_s: float, config: PolesConfig) -> float:
+    """How much of a scan's likelihood counts, 0 to 1, as the settings have it."""
+    if config.scan_errors == "independent":
+        return 1.0
+    return independent_share(moved_m, elapsed_s, config)
 
 
 def independent_share(moved_m: float, elapsed_s: float, config: PolesConfig) -> float:

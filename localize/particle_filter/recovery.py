@@ -16,19 +16,27 @@ from polemap.localize.config import RecoveryConfig
 from polemap.localize.contradictions import StrangePoles, UnmatchedPoles
 from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.particle_filter.estimate import Event
-from polemap.localize.particle_filter.exploration import LikelihoodAverages
+from polemap.localize.particle_filter.exploration import (
+    LikelihoodAverages,
+    Quality,
+    normalized_quality,
+    plain_quality,
+)
 from polemap.localize.particle_filter.health import LostDetector, StartProof, Verdict
 from polemap.localize.particle_filter.particles import ParticleSet
 from polemap.localize.particle_filter.place_search import PlaceSearch
 from polemap.localize.particle_filter.pole_weigher import Match, PoleWeigher
+from polemap.localize.particle_filter.sensor_model import PoseLikelihoods
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 
 # share of the particles that start anew where the map may be wrong instead
 _RESTART_SHARE = 0.75
-# largest share that is drawn anew while the rest goes on: more would be a restart
-_EXPLORE_SHARE_MAX = 0.2
+# largest share that is drawn anew while the rest goes on (more would be a restart), and of the
+# short-term likelihood in the long-term one below which that begins; our choice, as the book leaves
+# them open
+_EXPLORE_SHARE_MAX, _EXPLORE_MARGIN = 0.2, 0.4
 # searches of a proven place that is in doubt come so many times less often
 _DOUBT_INTERVALS = 4.0
 # independent poles that must have fitted, the last of them not longer ago
@@ -78,8 +86,14 @@ class Recovery:
         self._weigher = weigher
         self._rng = rng
         self.counts = counts
-        self.search = PlaceSearch(pole_map, receiver)
-        self.averages = LikelihoodAverages(_EXPLORE_SHARE_MAX)
+        self._config = config
+        self.search = PlaceSearch(pole_map, receiver, config.places)
+        self._classic = config.exploration == "classic"
+        self.averages = (
+            LikelihoodAverages(1.0, 1.0)
+            if self._classic
+            else LikelihoodAverages(_EXPLORE_SHARE_MAX, _EXPLORE_MARGIN)
+        )
         self.lost = LostDetector(config)
         self.proof = StartProof(config)
         self.unmatched, self.strange = UnmatchedPoles(), StrangePoles()
@@ -111,9 +125,11 @@ class Recovery:
         """
         self.explored_share = 0.0
         total = len(particles)
-        if self.proof.contradicted:
+        spread_only = self._config.restart == "spread"
+        if self.proof.contradicted and not spread_only:
             return self._begin_elsewhere(particles, scan, odometry_pose)
-        if self.lost.lost and self.search.rested(scan.stamp_s):
+        lost = self.lost.scattered if spread_only else self.lost.lost
+        if lost and self.search.rested(scan.stamp_s):
             # where poles just do not fit, the map may have changed: the old particles keep a part
             elsewhere = self.lost.scattered or self.lost.astray
             if not self._restart(
@@ -122,7 +138,7 @@ class Recovery:
                 return None
             self.counts["reinitializations"] += 1
             return "reinitialized"
-        wanted = round(self.averages.share * total)
+        wanted = 0 if self._classic else round(self.averages.share * total)
         if wanted == 0 or len(scan) < 2 or not self.search.rested(scan.stamp_s):
             return None
         drawn = self.search.draw_anew(wanted, scan.stamp_s, odometry_pose, self._rng)
@@ -133,6 +149,24 @@ class Recovery:
         self._mix_in(particles, drawn, np.minimum(result.log_likelihood - scan_evidence, 0.0))
         self.counts["exploration_events"] += 1
         return "explored"
+
+    def quality(self, result: PoseLikelihoods, weights: Floats, seen: int) -> Quality:
+        """How well a scan fits, by which exploration is called for."""
+        return (plain_quality if self._classic else normalized_quality)(result, weights, seen)
+
+    def inject(self, particles: ParticleSet, scan: Detections, odometry_pose: Floats) -> None:
+        """Classic Augmented MCL: after the estimate a share of the particles is drawn anew.
+
+        They weigh as much as the others until the next scan has met them.
+        """
+        wanted = round(self.averages.share * len(particles)) if self._classic else 0
+        searching = self._config.places == "constellations"
+        if wanted == 0 or (searching and not self.search.rested(scan.stamp_s)):
+            return
+        drawn = self.search.draw_anew(wanted, scan.stamp_s, odometry_pose, self._rng)
+        if len(drawn):
+            self._mix_in(particles, drawn, np.zeros(len(drawn)))
+            self.counts["exploration_events"] += 1
 
     def _begin_elsewhere(
         self, particles: ParticleSet, scan: Detections, odometry_pose: Floats
@@ -205,6 +239,8 @@ class Recovery:
         Args:
             stamp_s, travelled_m: of the scan.
         """
+        if self._config.restart == "spread":
+            return
         if not self.strange.contradict or stamp_s - self._scattered_s < _SCATTER_S:
             return
         self._scattered_s = stamp_s

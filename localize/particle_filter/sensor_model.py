@@ -32,6 +32,7 @@ class PoleModel:
         clutter_width_span_m: false poles are as likely at any width within this span.
         position_floor_m: standard deviation added to every scan position; what the detector's
             own covariance does not know (calibration, a trunk that is no line).
+        existence: whether a seen pole counts by the probability that it is one.
     """
 
     beta_p: float
@@ -39,6 +40,7 @@ class PoleModel:
     clutter_per_m2: float
     position_floor_m: float
     clutter_width_span_m: float = 1.0
+    existence: bool = True
 
     @classmethod
     def of(cls, config: LocalizeConfig) -> PoleModel:
@@ -48,6 +50,7 @@ class PoleModel:
             width_sd_m=config.poles.width_sd_m,
             clutter_per_m2=config.clutter_per_m2,
             position_floor_m=config.poles.position_floor_m,
+            existence=config.poles.existence,
         )
 
     @property
@@ -150,7 +153,7 @@ def _prepared(scan: Detections, model: PoleModel) -> tuple[Floats, Floats]:
     full = scan.covariance_m2.reshape(-1, 2, 2)
     floor = model.position_floor_m**2
     covariance = np.stack([full[:, 0, 0] + floor, full[:, 1, 1] + floor, full[:, 0, 1]], axis=1)
-    existence = np.clip(scan.probability, 1e-3, 1.0)
+    existence = np.clip(scan.probability, 1e-3, 1.0) if model.existence else np.ones(len(scan))
     return covariance, np.asarray(np.log(existence / model.clutter_per_m2))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.errors import StereoError
-from polemap.stereo.opencv_sgbm import OpenCvOptions, OpenCvSgbm
+from polemap.stereo.opencv_sgbm import OpenCvSgbm
 from polemap.stereo.rig import StereoRig
 
 
@@ -18,12 +18,14 @@ def shifted_pair(shift: int, dtype: type = np.uint8) -> tuple[np.ndarray, np.nda
     return wide[:, :200].copy(), wide[:, shift:].copy()
 
 
-@pytest.mark.parametrize("preprocessing", ["none", "clahe", "rank7x7", "partial_ranks"])
+@pytest.mark.parametrize(
+    "preprocessing", ["none", "clahe", "rank7x7", "partial_ranks", "census_bytes"]
+)
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_a_shifted_texture_has_one_disparity_in_both_views(preprocessing, dtype):
-    config = StereoConfig(disparities=32)
+    config = StereoConfig(disparities=32, opencv_preprocessing=preprocessing)
     left, right = shifted_pair(11, dtype)
-    pair = OpenCvSgbm(config, options=OpenCvOptions(preprocessing=preprocessing)).match(left, right)
+    pair = OpenCvSgbm(config).match(left, right)
     for disparity, columns in ((pair.left, slice(20, 190)), (pair.right, slice(10, 180))):
         inner = disparity[5:-5, columns]
         assert np.isfinite(inner).mean() > 0.95

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.errors import StereoError
 from polemap.stereo.matching import DisparityPair, make_matcher
-from polemap.stereo.opencv_sgbm import OpenCvOptions
 from polemap.stereo.trust import (
     AREA_PX,
     COLUMN_PX,
@@ -126,11 +125,10 @@ def test_the_setting_reaches_both_matchers(matcher):
     wide = rng.integers(0, 255, (80, 160)).astype(np.uint8)
     left, right = wide[:, :150].copy(), wide[:, 10:].copy()
     right[30:60, 40:90] = rng.integers(0, 255, (30, 50))
-    base = StereoConfig(matcher=matcher, disparities=32, speckle_px=0)
-    opencv = OpenCvOptions(preprocessing="none")
-    plain = make_matcher(base, opencv=opencv)
+    base = StereoConfig(matcher=matcher, disparities=32, speckle_px=0, opencv_preprocessing="none")
+    plain = make_matcher(base)
     some, few = (
-        make_matcher(base.model_copy(update={"outlier_chance_max": limit}), opencv=opencv)
+        make_matcher(base.model_copy(update={"outlier_chance_max": limit}))
         for limit in (0.2, 0.005)
     )
     assert not isinstance(plain, DoubtFilter)

@@ -100,7 +100,7 @@ def test_quality_is_the_kth_root_times_the_matched_share() -> None:
 
 
 def test_exploration_starts_when_the_quality_falls_and_ends_when_it_returns() -> None:
-    averages = LikelihoodAverages(0.2)
+    averages = LikelihoodAverages(0.2, 0.4)
     assert averages.share == 0.0
     t = 0.0
     for _ in range(400):
@@ -121,7 +121,7 @@ def test_exploration_starts_when_the_quality_falls_and_ends_when_it_returns() ->
 
 
 def test_scans_that_could_not_match_do_not_call_for_exploration() -> None:
-    averages = LikelihoodAverages(0.2)
+    averages = LikelihoodAverages(0.2, 0.4)
     for k in range(100):
         averages.add_quality(0.05 * k, Quality(0.4, 4.0))
     for k in range(400):
