@@ -5,8 +5,9 @@ frame, a pole seen at s is seen after the motion (t, turn) at
 
     R(-turn) (s - t) + (R(-turn) - I) c + a J R(-turn) t
 
-to first order, J being the turn by 90 degrees. The scale of the speed and the slip of the rear axle
-are unknowns beside c and a, so that neither passes for the other.
+to first order, J being the turn by 90 degrees. If y is q times too large as well, s is y / q in all
+of this and what comes out is multiplied by q again. The scale of the way against the distances and
+the slip of the rear axle are unknowns beside c, a and q, so that none passes for another.
 """
 
 from __future__ import annotations
@@ -29,42 +30,60 @@ _PAIRS_MIN, _MATCHES_MIN = 20, 40
 _TURN_MIN_RAD, _BENDS_MIN = 0.1, 8
 _RATE_MAX_RADPS, _LATERAL_MAX_MPS2 = 1.5, 10.0
 _GATES_M = (2.0, 2.0, 1.5, 1.0, 0.7, 0.7)
-# x, y of the frame (m), its yaw (rad), scale of the speed, slip (rad per m/s2)
-_PRIOR_SD = np.array([3.0, 3.0, 0.3, 0.05, 0.004])
+# x, y of the frame (m), its yaw (rad), scale of the way, slip (rad per m/s2); log of y's scale
+_PRIOR_SD = np.array([3.0, 3.0, 0.3, 0.2, 0.004])
+_ACROSS_SD = 1.0
+_ACROSS_STARTS = (0.0, np.log(2.0), -np.log(2.0))
 # clean drives against the reference: within 0.25 m and 0.5 degrees, but for what their sd allows;
 # against an odometry from encoder and steering, within 1.5 m and 1.9 degrees
 _DOUBT = {True: (0.5, 0.5, np.radians(2.0)), False: (2.0, 2.0, np.radians(5.0))}
+# clean drives: within 0.01 against the reference, 0.04 against an odometry; y within 0.05
+_WAY = {True: 0.04, False: 0.07}
+_ACROSS, _ACROSS_WRONG = 0.12, 0.3
 _SDS = 5.0
 _WRONG_M = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class DetectorPlace:
-    """Place and yaw of the frame that the poles are given in, in the vehicle frame, and their sds.
+    """Frame and scales that the poles are given in, with their sds.
 
     Attributes:
-        values, sds: `(3,)` x, y (m) and yaw (rad).
+        values, sds: `(3,)` x, y (m) and yaw (rad) in the vehicle frame.
+        way, way_sd: logarithm of how much longer the way of the poles is than that of the motion.
+        across, across_sd: logarithm of the scale of y over that of x; 0 where it is not sought.
         matches: poles that were met again.
     """
 
     values: Floats
     sds: Floats
+    way: float
+    way_sd: float
+    across: float
+    across_sd: float
     matches: int
 
 
 def place_findings(drive: Drive, motion: Odometer, *, surveyed: bool) -> list[Finding]:
-    """A detector mounted elsewhere than its poles were brought from.
+    """A detector mounted elsewhere than its poles were brought from, or with distances of its own.
 
     Args:
         surveyed: the motion is a reference's, not an odometry's.
     """
-    place = find_place(find_pairs(drive, motion), motion)
+    pairs = find_pairs(drive, motion)
+    # with a scale of y nothing else is as certain, so that it is believed only where it is large
+    starts = (find_place(pairs, motion, across=start) for start in _ACROSS_STARTS)
+    scaled = max(filter(None, starts), key=lambda place: place.matches, default=None)
+    if scaled is not None and abs(scaled.across) > max(_ACROSS, _SDS * scaled.across_sd):
+        return [_across_finding(drive, motion, scaled)]
+    place = find_place(pairs, motion)
     if place is None:
         return []
+    found = _scale_findings(drive, motion, place, surveyed=surveyed)
     limits = np.maximum(_DOUBT[surveyed], _SDS * place.sds)
     off = np.abs(place.values) > limits
     if not off.any():
-        return []
+        return found
     x, y, yaw = place.values
     said = []
     if off[0]:
@@ -86,12 +105,51 @@ def place_findings(drive: Drive, motion: Odometer, *, surveyed: bool) -> list[Fi
             f"its poles move as if seen {' and '.join(filter(None, (where, turned)))} "
             f"({place.matches} met again)", "poles in the vehicle frame, from the rear axle",
             remedy,
+        ),
+        *found,
+    ]  # fmt: skip
+
+
+def _across_finding(drive: Drive, motion: Odometer, place: DetectorPlace) -> Finding:
+    """Two axes that are not in one unit."""
+    return Finding(
+        "pole_axes", "error" if abs(place.across) > _ACROSS_WRONG else "warning",
+        drive.names.poles,
+        f"its y_m is {np.exp(place.across):.2f} times too large for its x_m, by how its poles move "
+        f"with {motion.name} ({place.matches} met again)", "x and y of one scale",
+        "check the units of x and y, each by itself",
+    )  # fmt: skip
+
+
+def _scale_findings(
+    drive: Drive, motion: Odometer, place: DetectorPlace, *, surveyed: bool
+) -> list[Finding]:
+    """Distances that are a few percent off: by the way of a reference, or of an odometry."""
+    if abs(place.way) < max(_WAY[surveyed], _SDS * place.way_sd):
+        return []
+    ratio = float(np.exp(place.way))
+    remedy = (
+        f"multiply x and y by {1.0 / ratio:.2f}: check baseline and focal length of the detector"
+    )
+    return [
+        Finding(
+            "pole_scale", "warning", drive.names.poles,
+            f"its poles move {ratio:.3f} times as far as {motion.name} goes ({place.matches} met "
+            "again)", f"1 within {100 * _WAY[surveyed]:.0f} %",
+            remedy if surveyed
+            else f"calibrate the wheel radius of {motion.name}, or the distances of the poles",
         )
     ]  # fmt: skip
 
 
-def find_place(pairs: ScanPairs, motion: Odometer) -> DetectorPlace | None:
-    """The frame that the poles are given in; None where too few are met again."""
+def find_place(
+    pairs: ScanPairs, motion: Odometer, across: float | None = None
+) -> DetectorPlace | None:
+    """The frame that the poles are given in; None where too few are met again.
+
+    Args:
+        across: where the search for a scale of y begins; None if y is of the scale of x.
+    """
     if len(pairs) < _PAIRS_MIN:
         return None
     first, second = pairs.first, pairs.second
@@ -101,11 +159,10 @@ def find_place(pairs: ScanPairs, motion: Odometer) -> DetectorPlace | None:
     elapsed = second.stamp_s - first.stamp_s
     ay = way * turn / elapsed**2
     left = np.stack([-back[:, 1], back[:, 0]], axis=1)
-    # R(-turn) - I, and the columns of yaw, scale and slip
+    # R(-turn) - I, and the columns of yaw, way and slip
     by_place = rotation(-turn) - np.eye(2)
     by_rest = np.stack([left, -back, -left * ay[:, None]], axis=2)
-    jacobian = np.concatenate([by_place, by_rest], axis=2)
-    moved = rotate_back(first.points_m - moves[:, None, :2], turn[:, None])
+    unscaled = np.concatenate([by_place, by_rest], axis=2)
     # sharper than a car turns, the motion is no measurement
     steps = np.diff(motion.heading_rad) / np.maximum(np.diff(motion.stamp_s), 1e-3)
     sharp = np.concatenate([[0], np.cumsum(np.abs(steps) > _RATE_MAX_RADPS)])
@@ -115,11 +172,17 @@ def find_place(pairs: ScanPairs, motion: Odometer) -> DetectorPlace | None:
     ]
     driven = known & (np.abs(ay) < _LATERAL_MAX_MPS2) & (turned[0] == turned[1])
     usable = first.there & driven[:, None]
-    values: Floats = np.zeros(5)
-    covariance: Floats = np.diag(_PRIOR_SD**2)
+    prior_sd = np.append(_PRIOR_SD, 1e-6 if across is None else _ACROSS_SD)
+    values: Floats = np.append(np.zeros(5), across or 0.0)
+    covariance: Floats = np.diag(prior_sd**2)
     matches = bends = 0
     for gate in _GATES_M:
-        told = moved + (jacobian @ values)[:, None]
+        axes = np.array([1.0, np.exp(values[5])])
+        moved = rotate_back(first.points_m / axes - moves[:, None, :2], turn[:, None])
+        told = (moved + (unscaled @ values[:5])[:, None]) * axes
+        # y of what is told grows with its scale, what of y went into it shrinks
+        shrunk = rotate_back(first.points_m / axes * (0.0, 1.0), turn[:, None]) * axes
+        by_across = told * (0.0, 1.0) - shrunk
         offset = second.points_m[:, None] - told[:, :, None]
         distance = np.hypot(offset[..., 0], offset[..., 1])
         distance = np.where(second.there[:, None], distance, np.inf)
@@ -132,22 +195,28 @@ def find_place(pairs: ScanPairs, motion: Odometer) -> DetectorPlace | None:
         matches = len(pair)
         if matches < _MATCHES_MIN:
             return None
-        rest = second.points_m[pair, nearest[pair, row]] - moved[pair, row]
-        values, covariance = _solve(jacobian[pair], rest, pair, values)
+        design = np.concatenate(
+            [unscaled[pair] * axes[:, None], by_across[pair, row, :, None]], axis=2
+        )
+        rest = offset[pair, row, nearest[pair, row]] + design @ values
+        values, covariance = _solve(design, rest, pair, values, prior_sd)
         bends = len(np.unique(pair[np.abs(turn[pair]) > _TURN_MIN_RAD]))
-    sds = np.sqrt(np.diag(covariance)[:3])
+    sds = np.sqrt(np.diag(covariance))
     if bends < _BENDS_MIN:
-        sds[:2] = np.inf
-    return DetectorPlace(values[:3], sds, matches)
+        sds[[0, 1, 5]] = np.inf
+    return DetectorPlace(
+        values[:3], sds[:3], float(values[3]), float(sds[3]), float(values[5]), float(sds[5]),
+        matches,
+    )  # fmt: skip
 
 
 def _solve(
-    design: Floats, rest: Floats, pair: NDArray[np.int64], start: Floats
+    design: Floats, rest: Floats, pair: NDArray[np.int64], start: Floats, prior_sd: Floats
 ) -> tuple[Floats, Floats]:
     """Robust least squares; errors of the poles of one pair of scans count as one error."""
     values = start
-    bread: Floats = np.eye(5)
-    prior = np.diag(1.0 / _PRIOR_SD**2)
+    bread: Floats = np.eye(len(start))
+    prior = np.diag(1.0 / prior_sd**2)
     error = rest - design @ values
     weight: Floats = np.ones(len(rest))
     for _ in range(5):
@@ -159,6 +228,6 @@ def _solve(
         values = bread @ np.einsum("nij,ni->j", weighted, rest)
         error = rest - design @ values
     scores = np.einsum("nij,ni->nj", design * weight[:, None, None], error)
-    summed = np.zeros((int(pair.max()) + 1, 5))
+    summed = np.zeros((int(pair.max()) + 1, len(start)))
     np.add.at(summed, pair, scores)
     return values, np.asarray(bread @ (summed.T @ summed + prior) @ bread)

@@ -155,6 +155,31 @@ def test_a_detector_mounted_elsewhere_is_noticed(
     assert said in found.value
 
 
+@pytest.mark.parametrize("reference", [True, False])
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_distances_that_are_a_tenth_off_are_noticed(
+    clean: Drive, factor: float, reference: bool
+) -> None:
+    scaled = with_points(clean, lambda points: factor * points)
+    if not reference:
+        scaled = replace(scaled, reference=None)
+    found = _only(scaled)
+    assert (found.kind, found.stream) == ("pole_scale", "poles.csv")
+    assert f"move {factor:.1f}" in found.value.replace("0.89", "0.90").replace("1.09", "1.10")
+    assert ("multiply x and y" in found.remedy) == reference
+
+
+@pytest.mark.parametrize("streams", [(), ("reference",), ("reference", "gnss")])
+@pytest.mark.parametrize("factor", [2.0, 0.5, 1.3])
+def test_an_axis_of_another_scale_is_noticed(
+    clean: Drive, factor: float, streams: tuple[str, ...]
+) -> None:
+    scaled = with_points(clean, lambda points: points * [1.0, factor])
+    found = _only(replace(scaled, **dict.fromkeys(streams)))
+    assert (found.kind, found.stream) == ("pole_axes", "poles.csv")
+    assert f"{factor:.1f}" in found.value
+
+
 @pytest.mark.parametrize("degrees", [1.3, -1.3, 3.0])
 def test_a_small_constant_in_the_yaw_is_noticed(clean: Drive, degrees: float) -> None:
     poses = clean.reference.poses.copy()
