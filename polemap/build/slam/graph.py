@@ -18,6 +18,7 @@ ICRA 2013.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
 from typing import Any
 
@@ -94,6 +95,10 @@ class Graph:
                 graph.add(g.BetweenFactorVector(before, key, np.zeros(len(sd)), change))
             else:
                 graph.add(g.PriorFactorVector(key, np.zeros(len(sd)), prior))
+        for row in np.flatnonzero(p.calibration_information.any(axis=(1, 2))).tolist():
+            noise = g.noiseModel.Gaussian.Information(p.calibration_information[row])
+            known = p.calibration_known[row]
+            graph.add(g.PriorFactorVector(self._key("c", row), known, noise))
 
     def _motions(self) -> None:
         g, p = self._gtsam, self._problem
@@ -228,10 +233,14 @@ class Graph:
         own = [known.marginalCovariance(self._key("l", int(row))) for row in points]
         return np.array(own, dtype=np.float64).reshape(-1, 2, 2)
 
-    def covariance(self, poses: Whole, points: Whole) -> Floats:
-        """Joint covariance `(3 p + 2 q, ...)` of poses and then landmarks, in the map's axes."""
+    def covariance(self, poses: Whole, points: Whole, calibrations: Sequence[int] = ()) -> Floats:
+        """Joint covariance `(3 p + 2 q + 6 r, ...)` of poses, landmarks and calibrations.
+
+        Those of poses and landmarks are in the map's axes.
+        """
         keys = [self._key("x", int(row)) for row in poses]
         keys += [self._key("l", int(row)) for row in points]
+        keys += [self._key("c", row) for row in calibrations]
         joint = self._marginals().jointMarginalCovariance(keys)
         result = joint.fullMatrix()
         turn = np.eye(len(result))

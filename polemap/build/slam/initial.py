@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 
 FIXES_MIN = 3  # fewer do not tell a heading
 _STRETCH_S = 60.0
+_HELD_AFTER = 30  # stretches
 _START_M = 30.0  # of way that tells a heading
 _SPACING_M = 10.0
 _TRIES = 200
@@ -32,21 +33,24 @@ _STEPS = 5
 _FIX_EVERY_S = 4.0
 
 
-def lay_on_fixes(route: Route, config: SlamConfig) -> Route:
+def lay_on_fixes(route: Route, config: SlamConfig, *, thin: bool = True) -> Route:
     """The route on its fixes; without any it stays where dead reckoning has it, and too few of
-    them move it only."""
+    them move it only. Without `thin` all of its keyframes and fixes are taken."""
     if not len(route.fix_s):
         return route
     if len(route.fix_s) < FIXES_MIN:
         here = transform_points(route.path.at(route.fix_s[:1])[0], route.antenna_m)
         move = np.array([*(route.fix_m[0] - here), 0.0])
         return replace(route, poses=route.poses + move)
-    coarse = _coarse(route)
+    coarse = _coarse(route) if thin else route
     coarse = replace(coarse, poses=_start(coarse, config))
     ends = np.arange(coarse.stamp_s[0] + _STRETCH_S, coarse.stamp_s[-1] + _STRETCH_S, _STRETCH_S)
     counts = np.unique(np.searchsorted(coarse.stamp_s, ends, side="right"))
     known = 1
-    for count in counts[counts >= 2].tolist():
+    stops = counts[counts >= 2].tolist()
+    for number, count in enumerate(stops):
+        # what lies half an hour back stays where it was found
+        first = stops[number - _HELD_AFTER] - 1 if number >= _HELD_AFTER else 0
         poses = coarse.poses.copy()
         # from the last that is known on by odometry, with the calibration found so far
         poses[known:] = compose(
@@ -56,11 +60,17 @@ def lay_on_fixes(route: Route, config: SlamConfig) -> Route:
             ),
         )
         coarse = replace(coarse, poses=poses)
-        problem = build_problem([coarse.until(count)], NO_SIGHTINGS, NO_LINKS, stated_noise(config))
+        part = coarse.between(first, count)
+        problem = build_problem([part], NO_SIGHTINGS, NO_LINKS, stated_noise(config))
+        if first > 0:
+            problem = replace(problem, origin=np.zeros(1, dtype=np.int64))
         solved = Graph(problem, (calibration_sd(), CALIBRATION_WALK)).solve(_STEPS)
         poses = coarse.poses.copy()
-        poses[:count] = solved.poses
-        coarse = replace(coarse, poses=poses).with_calibration(solved.calibration)
+        poses[first:count] = solved.poses
+        calibration = coarse.calibration.copy()
+        mine = int(coarse.calibration_of(coarse.stamp_s[first : first + 1])[0])
+        calibration[mine:] = solved.calibration[mine:]
+        coarse = replace(coarse, poses=poses).with_calibration(calibration)
         known = count
     fine = route.with_calibration(coarse.calibration)
     return replace(fine, poses=coarse.poses_at(route.stamp_s))

@@ -12,6 +12,7 @@ badly to look for them, the index of patterns tells what looks alike (`recall`).
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,8 @@ from polemap.vehicle.pose import compose, relative, rotation, wrap_angle
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-_OVERLAP_M = 40.0  # anchors farther apart share too few poles
-_SEARCH_SD_M = 12.0  # of a place that is less known, nothing is looked for yet
+OVERLAP_M = 40.0  # anchors farther apart share too few poles
+SEARCH_SD_M = 12.0  # of a place that is less known, nothing is looked for yet
 _NEAREST = 2  # local maps of one visit that another is matched with
 _VISIT = 3  # local maps in a row that may show one place
 _SAME_M, _SAME_RAD = 4.0, 0.15  # places that are one
@@ -44,6 +45,8 @@ def find_loops(
     covariance: Floats,
     config: SlamConfig,
     known: Collection[tuple[int, int]] = (),
+    numbers: Whole | None = None,
+    own: NDArray[np.bool_] | None = None,
 ) -> Found:
     """Loops among local maps whose anchors stand at `anchors` `(n, 3)`.
 
@@ -53,14 +56,18 @@ def find_loops(
         covariance: `(3 n, 3 n)` of the anchors' joint error in the map's axes.
         config: settings.
         known: pairs that are not looked at.
+        numbers: `(n,)` of the local maps among all, where these are some of them; loops have them.
+        own: `(n,)` only pairs whose first is one of these; by default all.
     """
-    candidates: list[tuple[Loop, Floats]] = []
+    candidates: list[Loop] = []
     ambiguous = 0
-    pairs, unreached = _candidates(submaps, anchors, covariance)
+    if numbers is None:
+        numbers = np.arange(len(submaps))
+    pairs, unreached = _candidates(submaps, anchors, covariance, numbers, own)
     for first, second in pairs:
-        if (first, second) in known:
+        if (int(numbers[first]), int(numbers[second])) in known:
             continue
-        predicted, jacobian, rows = _relative(anchors, first, second)
+        predicted, jacobian, rows = relative_with_jacobian(anchors, first, second)
         spread = jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T + np.diag(MATCH_SD**2)
         a, b = submaps[first], submaps[second]
         placements = place(a, b, predicted, spread)
@@ -73,8 +80,12 @@ def find_loops(
             continue
         if best.prior2 > chi_square_gate(_PRIOR_PROBABILITY, 3):
             continue
-        candidates.append((_loop(first, second, a, b, predicted, best), predicted))
-    kept = _agreeing([loop for loop, _ in candidates], anchors, covariance)
+        candidates.append(_loop(first, second, a, b, predicted, best))
+    agreeing = _agreeing(candidates, anchors, covariance)
+    kept = [
+        replace(loop, first=int(numbers[loop.first]), second=int(numbers[loop.second]))
+        for loop in agreeing
+    ]
     return Found(tuple(kept), ambiguous, len(candidates) - len(kept), unreached)
 
 
@@ -125,7 +136,7 @@ def recall_loops(
 
 def _put(loop: Loop, anchors: Floats) -> Floats:
     """Where a loop puts the anchor `(3,)` of its second local map."""
-    predicted, _, _ = _relative(anchors, loop.first, loop.second)
+    predicted, _, _ = relative_with_jacobian(anchors, loop.first, loop.second)
     return compose(anchors[loop.first], predicted + loop.innovation)
 
 
@@ -163,7 +174,7 @@ def _placed_by_patterns(
         placements = place(a, submap, pose, np.diag(_RECALLED_SD**2))
         if not placements:
             continue
-        predicted, jacobian, rows = _relative(anchors, other, second)
+        predicted, jacobian, rows = relative_with_jacobian(anchors, other, second)
         spread = jacobian @ covariance[np.ix_(rows, rows)] @ jacobian.T + np.diag(MATCH_SD**2)
         # the place may be anywhere within what the graph leaves open, not near the pattern only
         open_places = np.linalg.slogdet(spread)[1] - 2.0 * np.log(_RECALLED_SD).sum()
@@ -193,7 +204,11 @@ def _loop(
 
 
 def _candidates(
-    submaps: Sequence[Submap], anchors: Floats, covariance: Floats
+    submaps: Sequence[Submap],
+    anchors: Floats,
+    covariance: Floats,
+    numbers: Whole,
+    own: NDArray[np.bool_] | None,
 ) -> tuple[list[tuple[int, int]], bool]:
     """Pairs that may overlap: of every visit to a place the nearest local maps only."""
     n = len(submaps)
@@ -201,19 +216,19 @@ def _candidates(
         return [], False
     index = 3 * np.arange(n)
     east, north = covariance[np.ix_(index, index)], covariance[np.ix_(index + 1, index + 1)]
-    own = np.diag(east) + np.diag(north)
+    spread = np.diag(east) + np.diag(north)
     # variance of the difference of two anchors' places, without what both share
-    sd = np.sqrt(np.maximum(own[:, None] + own[None, :] - 2.0 * (east + north), 0.0))
+    sd = np.sqrt(np.maximum(spread[:, None] + spread[None, :] - 2.0 * (east + north), 0.0))
     distance = np.hypot(*(anchors[:, None, :2] - anchors[None, :, :2]).transpose(2, 0, 1))
-    near = (distance - 3.0 * sd <= _OVERLAP_M) & (sd <= _SEARCH_SD_M)
+    near = (distance - 3.0 * sd <= OVERLAP_M) & (sd <= SEARCH_SD_M)
     route = np.array([submap.route for submap in submaps])
     pairs = []
-    for first in range(n):
+    for first in range(n) if own is None else np.flatnonzero(own).tolist():
         others = np.flatnonzero(near[first])
-        others = others[others > first + 1]
+        others = others[numbers[others] > numbers[first] + 1]
         if not len(others):
             continue
-        ends = (np.diff(others) > 1) | (np.diff(route[others]) != 0)
+        ends = (np.diff(numbers[others]) > 1) | (np.diff(route[others]) != 0)
         for visit in np.split(others, np.flatnonzero(ends) + 1):
             order = visit[np.argsort(distance[first, visit], kind="stable")]
             pairs += [
@@ -221,11 +236,13 @@ def _candidates(
                 for second in order[:_NEAREST]
                 if not np.intersect1d(submaps[first].landmark, submaps[second].landmark).size
             ]
-    far = (distance - 3.0 * sd <= _OVERLAP_M) & (sd > _SEARCH_SD_M)
+    far = (distance - 3.0 * sd <= OVERLAP_M) & (sd > SEARCH_SD_M)
     return pairs, bool(far.any())
 
 
-def _relative(anchors: Floats, first: int, second: int) -> tuple[Floats, Floats, Whole]:
+def relative_with_jacobian(
+    anchors: Floats, first: int, second: int
+) -> tuple[Floats, Floats, Whole]:
     """Pose of the second in the first, its Jacobian `(3, 6)` by both, and their rows."""
     a, b = anchors[first], anchors[second]
     pose = relative(a, b)
@@ -245,7 +262,7 @@ def _agreeing(loops: list[Loop], anchors: Floats, covariance: Floats) -> list[Lo
     noise = np.diag(MATCH_SD**2)
     kept = []
     for loop in sorted(loops, key=lambda loop: (-loop.log_odds, loop.first, loop.second)):
-        _, jacobian, rows = _relative(anchors, loop.first, loop.second)
+        _, jacobian, rows = relative_with_jacobian(anchors, loop.first, loop.second)
         across = spread[:, rows] @ jacobian.T
         innovation = jacobian @ across[rows] + noise
         off = loop.innovation - jacobian @ state[rows]

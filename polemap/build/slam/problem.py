@@ -29,6 +29,8 @@ class Problem:
         bias_sd_m, bias_share: `(d,)` sd of a bias, and the correlation with the bias before it, 0
             where a drive begins.
         link: `(e, 2)` landmarks that are one pole; link_sd_m: `(e,)` their difference.
+        calibration_known, calibration_information: `(k, 6)`, `(k, 6, 6)` what is known of the
+            calibration beside its prior; nothing where the information is zero.
         origin: `(f,)` poses that are held where they are: the origin of a local frame.
         known: `(g,)` landmarks of a map that is there already; known_m: `(g, 2)`,
             known_covariance_m2: `(g, 2, 2)` where it has them.
@@ -57,6 +59,8 @@ class Problem:
     link: Whole
     link_sd_m: Floats
     origin: Whole
+    calibration_known: Floats = field(default_factory=lambda: np.empty((0, 6)))
+    calibration_information: Floats = field(default_factory=lambda: np.empty((0, 6, 6)))
     known: Whole = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     known_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
     known_covariance_m2: Floats = field(default_factory=lambda: np.empty((0, 2, 2)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,6 +104,29 @@ class Builder:
         hdop = np.concatenate([route.hdop for route in state.routes])
         return measure_noise(state.problem, state.solution, state.noise, fix_s, hdop, self._config)
 
+    def submaps(self, state: State) -> list[Submap]:
+        """The local maps that loops are looked for with."""
+        landmarks = state.seen.landmarks
+        return cut_submaps(
+            state.routes, state.seen.sightings, state.solution.points_m, landmarks.width_m,
+            landmarks.kind,
+        )  # fmt: skip
+
+    def find_loops(
+        self,
+        submaps: Sequence[Submap],
+        poses: Floats,
+        anchors: Whole,
+        graph: Graph,
+        known: Collection[tuple[int, int]],
+    ) -> Found:
+        """Loops among local maps at `poses` `(n, 3)`, which are the keyframes `anchors` `(n,)`."""
+        covariance = graph.covariance(anchors, np.empty(0, dtype=np.int64))
+        found = find_loops(submaps, poses, covariance, self._config, known)
+        if not found.loops and found.unreached:
+            return recall_loops(submaps, poses, covariance, self._config, known)
+        return found
+
     def calibrate(self, routes: Sequence[Route], noise: Noise) -> list[Route]:
         """Routes dead reckoned anew with the calibration that poles alone show."""
         sds = (calibration_sd(), CALIBRATION_WALK)
@@ -143,7 +166,7 @@ class Closed:
     anchors: Whole
 
 
-def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[State, Closed]:
+def close_loops(builder: Builder, state: State) -> tuple[State, Closed]:
     """Find loops and solve, until no new one is found and none is given up."""
     loops: dict[tuple[int, int], Loop] = {}
     refused: dict[tuple[int, int], int] = {}
@@ -152,14 +175,11 @@ def close_loops(builder: Builder, state: State, config: SlamConfig) -> tuple[Sta
     ambiguous = rounds = 0
     seen = state.seen
     for rounds in range(1, ROUNDS_MOST + 1):  # noqa: B007
-        submaps = submaps_of(state)
+        submaps = builder.submaps(state)
         anchors = np.array([submap.anchor for submap in submaps], dtype=np.int64)
-        covariance = state.graph.covariance(anchors, np.empty(0, dtype=np.int64))
+        poses = state.solution.poses[anchors]
         known = set(loops) | {pair for pair, times in refused.items() if times >= 2}
-        found = find_loops(submaps, state.solution.poses[anchors], covariance, config, known)
-        if not found.loops and found.unreached:
-            poses = state.solution.poses[anchors]
-            found = recall_loops(submaps, poses, covariance, config, known)
+        found = builder.find_loops(submaps, poses, anchors, state.graph, known)
         ambiguous = found.ambiguous
         loops |= {(loop.first, loop.second): loop for loop in found.loops}
         if not found.loops:
@@ -201,14 +221,6 @@ def _broken(
         if weights and float(np.median(weights)) < _BROKEN_WEIGHT:
             broken.append(pair)
     return broken
-
-
-def submaps_of(state: State) -> list[Submap]:
-    landmarks = state.seen.landmarks
-    return cut_submaps(
-        state.routes, state.seen.sightings, state.solution.points_m, landmarks.width_m,
-        landmarks.kind,
-    )  # fmt: skip
 
 
 def settle(builder: Builder, state: State) -> State:

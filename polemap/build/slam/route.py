@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from polemap.build.slam.motion import (
     increments,
     keyframe_stamps,
 )
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, transform_points
@@ -108,21 +110,28 @@ class Route:
         path, steps = increments(self.odometry, rows, self.noise, self.stamp_s)
         return replace(self, calibration=calibration, path=path, steps=steps)
 
+    def calibration_knowledge(self) -> tuple[Floats, Floats]:
+        """What is known of the calibration beside its prior: `(k, 6)`, and information."""
+        count, size = self.calibration.shape
+        return np.zeros((count, size)), np.zeros((count, size, size))
+
     def reckoned(self) -> Route:
         """The route by dead reckoning from its first pose, with the calibration that it has."""
         way = self.path.at(self.stamp_s)
         return replace(self, poses=compose(self.poses[0], relative(way[0], way)))
 
-    def until(self, count: int) -> Route:
-        """The first `count` keyframes and the fixes up to them."""
+    def between(self, first: int, count: int) -> Route:
+        """The keyframes from `first` on to the `count`-th, and the fixes along them."""
         fixes = self.fix_s <= self.stamp_s[count - 1]
+        if first > 0:
+            fixes &= self.fix_s >= self.stamp_s[first]
         steps = self.steps
-        last = count - 1
+        mine = slice(first, count - 1)
         return replace(
             self,
-            stamp_s=self.stamp_s[:count],
-            poses=self.poses[:count],
-            steps=Increments(steps.motion[:last], steps.jacobian[:last], steps.covariance[:last]),
+            stamp_s=self.stamp_s[first:count],
+            poses=self.poses[first:count],
+            steps=Increments(steps.motion[mine], steps.jacobian[mine], steps.covariance[mine]),
             fix_s=self.fix_s[fixes],
             fix_m=self.fix_m[fixes],
             hdop=self.hdop[fixes],
@@ -159,6 +168,21 @@ def open_route(
         name, odometry, noise, stamps, path.at(stamps), zero, starts, path, steps,
         fix_s, fix_m, hdop, np.asarray(drive.gnss_antenna_m, dtype=np.float64),
     )  # fmt: skip
+
+
+def check_route(route: Route, scans: Sequence[Detections]) -> None:
+    """Refuse a drive of which nothing can be made.
+
+    Raises:
+        InputError: it has no scan, or the car stood still.
+    """
+    if not len(scans):
+        raise InputError(f"drive {route.name}: it has no scan; a map needs poles that were seen")
+    if route.path.travelled_m[-1] < KEYFRAME_M:
+        raise InputError(
+            f"drive {route.name}: its odometry says that the car stood still; without a "
+            "reference a map needs a car that moves"
+        )
 
 
 def _fixes(

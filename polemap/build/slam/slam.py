@@ -24,8 +24,8 @@ from polemap.build.slam.motion import MotionNoise
 from polemap.build.slam.noise import stated_noise
 from polemap.build.slam.precision import anchor_keyframes, pose_precision
 from polemap.build.slam.report import SlamSummary
-from polemap.build.slam.rounds import Builder, Closed, State, close_loops, settle, submaps_of
-from polemap.build.slam.route import Route, as_reference, open_route
+from polemap.build.slam.rounds import Builder, Closed, State, close_loops, settle
+from polemap.build.slam.route import Route, as_reference, check_route, open_route
 from polemap.build.slam.summary import summarise
 from polemap.build.slam.tables import pose_starts
 from polemap.drivelog.detections import Detections
@@ -41,7 +41,7 @@ Whole = NDArray[np.int64]
 
 _LOCAL_ROUNDS = 2
 _GRID_S = 0.1  # of the poses that are written, beside the scans
-_SHIFT_M = 1000.0  # coordinates of a grid are solved near the origin, where they keep their digits
+SHIFT_M = 1000.0  # coordinates of a grid are solved near the origin, where they keep their digits
 _POLE_M = 1.0
 
 
@@ -85,6 +85,15 @@ class SlamResult:
             pole_map,
             covariance_m2=pole_map.covariance_m2 + own[:, None, None] * np.eye(2),
             extra={**pole_map.extra, **self.absolute_columns(pole_map)},
+        )
+
+    def in_order(self, rows: Sequence[int]) -> SlamResult:
+        """The same with its drives in another order."""
+        return replace(
+            self,
+            references=tuple(self.references[row] for row in rows),
+            trajectories=tuple(self.trajectories[row] for row in rows),
+            summary=replace(self.summary, drives=tuple(self.summary.drives[row] for row in rows)),
         )
 
     def absolute_columns(self, pole_map: PoleMap) -> dict[str, Floats]:
@@ -144,9 +153,9 @@ def solve_slam(
     for _ in range(1, _LOCAL_ROUNDS):
         seen = builder.associate(state.routes)
         state = builder.solve(state.routes, seen, builder.measured(state))
-    state, closed = close_loops(builder, state, config)
+    state, closed = close_loops(builder, state)
     state = settle(builder, state)
-    return _result(state, closed, scans, frame, shift)
+    return result_of(builder, state, closed, [_stamps(part) for part in scans], frame, shift)
 
 
 def solve_in_map(
@@ -177,7 +186,7 @@ def solve_in_map(
         InputError: as `solve_slam`, or the drive was nowhere localized well.
     """
     frame = pole_map.frame
-    shift = np.round(pole_map.points_m.mean(axis=0) / _SHIFT_M) * _SHIFT_M
+    shift = np.round(pole_map.points_m.mean(axis=0) / SHIFT_M) * SHIFT_M
     route = open_route(name, drive, frame, shift, noise)
     _check([route], [scans])
     known = KnownPoles.of(pole_map, shift)
@@ -187,9 +196,9 @@ def solve_in_map(
     for _ in range(1, _LOCAL_ROUNDS):
         seen = builder.associate(state.routes)
         state = builder.solve(state.routes, seen, builder.measured(state))
-    state, closed = close_loops(builder, state, config)
+    state, closed = close_loops(builder, state)
     state = settle(builder, state)
-    return _result(state, closed, [scans], frame, shift)
+    return result_of(builder, state, closed, [_stamps(scans)], frame, shift)
 
 
 def _origin(drives: Sequence[tuple[str, Drive]], frame: EarthFrame) -> tuple[EarthFrame, Floats]:
@@ -200,33 +209,48 @@ def _origin(drives: Sequence[tuple[str, Drive]], frame: EarthFrame) -> tuple[Ear
     gnss = fixed[0].gnss
     assert gnss is not None
     middle = np.array([np.median(gnss.east_m), np.median(gnss.north_m)])
-    return frame, np.round(middle / _SHIFT_M) * _SHIFT_M if fixed[0].frame == frame else np.zeros(2)
+    return frame, np.round(middle / SHIFT_M) * SHIFT_M if fixed[0].frame == frame else np.zeros(2)
 
 
 def _check(routes: Sequence[Route], scans: Sequence[Sequence[Detections]]) -> None:
     for route, part in zip(routes, scans, strict=True):
-        if not len(part):
-            raise InputError(
-                f"drive {route.name}: it has no scan; a map needs poles that were seen"
-            )
-        if route.path.travelled_m[-1] < KEYFRAME_M:
-            raise InputError(
-                f"drive {route.name}: its odometry says that the car stood still; without a "
-                "reference a map needs a car that moves"
-            )
+        check_route(route, part)
+    check_fixed(routes)
+    check_twins(routes)
+
+
+def check_fixed(routes: Sequence[Route]) -> None:
+    """Refuse drives that nothing ties to the others.
+
+    Raises:
+        InputError: one of several has no fix.
+    """
     without = [route.name for route in routes if not len(route.fix_s)]
     if without and len(routes) > 1:
         raise InputError(
             f"drive {without[0]}: it has no GNSS fix, so that nothing says where it lies to the "
             "other drives; build its map by itself, or --update theirs with it"
         )
+
+
+def check_twins(routes: Sequence[Route]) -> None:
+    """Refuse a drive that is given twice.
+
+    Raises:
+        InputError: two have the same odometry.
+    """
     for number, route in enumerate(routes):
         twin = next((one.name for one in routes[:number] if _same_drive(one, route)), None)
         if twin is not None:
-            raise InputError(
-                f"drive {route.name}: its odometry is that of drive {twin}, value for value; the "
-                "same drive given twice tells nothing new: give it once"
-            )
+            raise twin_error(route.name, twin)
+
+
+def twin_error(name: str, other: str) -> InputError:
+    """What to say of a drive that is another one again."""
+    return InputError(
+        f"drive {name}: its odometry is that of drive {other}, value for value; the same drive "
+        "given twice tells nothing new: give it once"
+    )
 
 
 def _same_drive(a: Route, b: Route) -> bool:
@@ -239,22 +263,36 @@ def _same_drive(a: Route, b: Route) -> bool:
     )
 
 
-def _result(
+def _stamps(scans: Sequence[Detections]) -> Floats:
+    return np.array([scan.stamp_s for scan in scans])
+
+
+def result_of(
+    builder: Builder,
     state: State,
     closed: Closed,
-    scans: Sequence[Sequence[Detections]],
+    stamps_s: Sequence[Floats],
     frame: EarthFrame,
     shift: Floats,
+    every: int = round(SUBMAP_M / KEYFRAME_M),
 ) -> SlamResult:
+    """The result of a solved state.
+
+    Args:
+        builder: what solved it.
+        state, closed: the state, and its loops.
+        stamps_s: of the scans of every drive.
+        frame: of the map.
+        shift: `(2,)` from the graph's origin to that of the frame.
+        every: keyframes between those whose covariance is computed.
+    """
     starts = pose_starts(state.routes)
-    submaps = np.array([submap.anchor for submap in submaps_of(state)], dtype=np.int64)
-    every = round(SUBMAP_M / KEYFRAME_M)
+    submaps = np.array([submap.anchor for submap in builder.submaps(state)], dtype=np.int64)
     anchors = anchor_keyframes(starts, submaps, every)
     precision = pose_precision(state.graph, state.solution, anchors, starts)
     references, trajectories = [], []
-    for number, (route, part) in enumerate(zip(state.routes, scans, strict=True)):
+    for number, (route, looked) in enumerate(zip(state.routes, stamps_s, strict=True)):
         rows = slice(int(starts[number]), int(starts[number + 1]))
-        looked = np.array([scan.stamp_s for scan in part])
         grid = np.arange(route.stamp_s[0], route.stamp_s[-1], _GRID_S)
         inside = (looked >= route.stamp_s[0] - 0.5) & (looked <= route.stamp_s[-1] + 0.5)
         stamps = np.unique(np.concatenate([looked[inside], grid, route.stamp_s[-1:]]))

@@ -88,6 +88,7 @@ def build_problem(
     columns = [_route_columns(route, noise) for route in routes]
     biases = np.cumsum([0, *(len(route.fix_s) for route in routes)])
     extra = np.empty((0, 2)) if extra_m is None else extra_m
+    known = [route.calibration_knowledge() for route in routes]
     origin = [start for start, route in zip(starts, routes, strict=False) if not len(route.fix_s)]
     return Problem(
         poses=np.concatenate([route.poses for route in routes]),
@@ -125,6 +126,8 @@ def build_problem(
         link=link,
         link_sd_m=np.full(len(link), SAME_POLE_SD_M),
         origin=np.array(origin[:1], dtype=np.int64),
+        calibration_known=np.concatenate([mean for mean, _ in known]),
+        calibration_information=np.concatenate([information for _, information in known]),
     )
 
 
