@@ -17,6 +17,7 @@ from polemap.map.io import check_writable, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
 from polemap.tools.findings import require_plausible
+from polemap.tools.map_condensed import build_condensed, is_long
 from polemap.tools.map_files import compare, convert_map
 from polemap.tools.map_job import MapJob, open_workers
 from polemap.tools.map_picture import (
@@ -172,14 +173,18 @@ def _make(job: MapJob, picture: Path | None, layer: Path | None, *, force: bool)
         require_plausible(drive.name, find(drive), force=force)
     without = job.slam or any(map(lacks_reference, opened))
     if without:
-        check_slam(opened, not job.is_serial, asked=job.slam)
+        updates_by_workers = job.old is not None and not job.is_serial
+        check_slam(opened, updates_by_workers=updates_by_workers, asked=job.slam)
     solved = None
     if without and job.old is not None:
         built, opened = update_without_reference(
             opened, job.old, job.settings, align=job.align, asked=job.slam, seed=job.seed
         )
     elif without:
-        solved = build_without_reference(opened, job.settings, align=job.align)
+        if job.is_serial and not is_long(opened):
+            solved = build_without_reference(opened, job.settings, align=job.align)
+        else:
+            solved = build_condensed(job, opened)
         built, opened = solved.built, list(solved.drives)
     elif job.poses is not None:
         raise InputError("--poses writes what --slam solves for; these drives have a reference")

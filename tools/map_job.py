@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from polemap.build.city.cluster import open_cluster
 from polemap.build.city.tiles import TILE_M
 from polemap.build.city.work import DriveTask, observe_all, on_workers
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.jobs import LocalWorkers, Workers
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
@@ -63,6 +65,17 @@ class MapJob:
         """The map of the drives, in this process or by workers: the same either way."""
         return _build(self, drives) if self.is_serial else _build_in_processes(self, drives)
 
+    def tasks(self, drives: Sequence[Drive], frame: EarthFrame) -> list[DriveTask]:
+        """A task a drive, for workers that open it themselves."""
+        text = self.settings.model_dump_json()
+        return [
+            DriveTask(
+                os.path.realpath(path), name, self.lap, self.seed, frame, text, self.mapping,
+                self.odometry,
+            )
+            for path, name in zip(self.paths, unique_names(drives), strict=True)
+        ]  # fmt: skip
+
     def pool(self) -> AbstractContextManager[Workers]:
         """The workers of the scheduler, or processes of this machine."""
         return open_workers(min(self.workers or 1, max(len(self.paths), 1)), self.scheduler)
@@ -90,13 +103,7 @@ def _build(job: MapJob, drives: list[Drive]) -> BuiltMap:
 def _build_in_processes(job: MapJob, drives: list[Drive]) -> BuiltMap:
     """A drive a worker; what they finished survives a killed run."""
     frame = job.old.frame if job.old is not None else drives[0].frame
-    text = job.settings.model_dump_json()
-    tasks = [
-        DriveTask(
-            os.path.realpath(path), name, job.lap, job.seed, frame, text, job.mapping, job.odometry
-        )
-        for path, name in zip(job.paths, unique_names(drives), strict=True)
-    ]
+    tasks = job.tasks(drives, frame)
     with job.pool() as workers:
         with progress(len(drives), "drives") as advance:
             parts = observe_all(tasks, observe_task, job.checkpoints, workers, advance)

@@ -53,19 +53,19 @@ def lacks_reference(drive: Drive) -> bool:
     return drive.reference is None or not len(drive.reference)
 
 
-def check_slam(drives: Sequence[Drive], in_processes: bool, *, asked: bool) -> None:
+def check_slam(drives: Sequence[Drive], *, updates_by_workers: bool, asked: bool) -> None:
     """Refuse what cannot be done before poles are detected; say so where it was not asked for.
 
     Raises:
-        InputError: several processes, odometry made from the reference.
+        InputError: an update by several processes, odometry made from the reference.
     """
     lacking = next((drive.name for drive in drives if lacks_reference(drive)), None)
     if lacking is not None and not asked:
         typer.echo(f"note: drive {lacking} has no reference poses: they are estimated (--slam)")
-    if in_processes:
+    if updates_by_workers:
         raise InputError(
-            "without reference poses all drives are taken in one process: leave out --workers "
-            "and --scheduler"
+            "drives without reference poses are localized in the map of --update in one process: "
+            "leave out --workers and --scheduler"
         )
     for drive in drives:
         if drive.odometry_is_derived:

@@ -28,9 +28,19 @@ _KEY = re.compile("[0-9a-f]{32}")
 
 def write_checkpoint(part: DriveObservations, key: str, path: Path) -> None:
     """Write what a drive contributed; `key` says from what it was computed."""
+    head, arrays = observation_arrays(part)
+    write_arrays({"version": _VERSION, "key": key, **head}, arrays, path)
+
+
+def write_arrays(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write arrays with a head of JSON."""
+    with atomic_file(path) as target, target.open("wb") as stream:
+        np.savez_compressed(stream, head=np.array(json.dumps(head)), **dict(arrays))
+
+
+def observation_arrays(part: DriveObservations) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """What a drive contributed as a head and arrays, the way `observations_of` takes them."""
     head = {
-        "version": _VERSION,
-        "key": key,
         "drive": part.detections.drive,
         "frame": part.detections.frame.to_dict(),
         "without_pose": part.detections.without_pose,
@@ -42,8 +52,7 @@ def write_checkpoint(part: DriveObservations, key: str, path: Path) -> None:
         ("landmarks", part.landmarks),
     ):
         arrays |= {f"{name}.{column}": values for column, values in table.arrays().items()}
-    with atomic_file(path) as target, target.open("wb") as stream:
-        np.savez_compressed(stream, head=np.array(json.dumps(head)), **arrays)
+    return head, arrays
 
 
 def read_checkpoint(path: Path, key: str) -> DriveObservations | None:
@@ -60,8 +69,17 @@ def read_checkpoint(path: Path, key: str) -> DriveObservations | None:
 
 def _observations(file: Mapping[str, NDArray[Any]], key: str) -> DriveObservations | None:
     head = parse_json(str(file["head"]))
-    if head["version"] != _VERSION or head["key"] != key:
+    if head.get("version") != _VERSION or head.get("key") != key:
         return None
+    return observations_of(head, file)
+
+
+def observations_of(head: Mapping[str, Any], file: Mapping[str, NDArray[Any]]) -> DriveObservations:
+    """The inverse of `observation_arrays`.
+
+    Raises:
+        KeyError: something is missing.
+    """
     detections = MapDetections.from_arrays(
         _columns(file, "detections"),
         drive=head["drive"],

@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from polemap import __version__
 from polemap.build.city.io import read_checkpoint, write_checkpoint
@@ -53,6 +53,7 @@ class DriveTask:
 
 
 Observe = Callable[[DriveTask], DriveObservations]
+T = TypeVar("T")
 
 
 def observe_all(
@@ -74,22 +75,47 @@ def observe_all(
     Raises:
         PolemapError: what `observe` raised; drives that were done stay done.
     """
-    results: dict[str, DriveObservations] = {}
+    return compute_all(
+        tasks, observe, checkpoints, workers, read_checkpoint, write_checkpoint, advance
+    )
+
+
+def compute_all(
+    tasks: Sequence[DriveTask],
+    compute: Callable[[DriveTask], T],
+    checkpoints: Path,
+    workers: Workers,
+    read: Callable[[Path, str], T | None],
+    write: Callable[[T, str, Path], None],
+    advance: Advance = lambda _steps: None,
+) -> list[T]:
+    """What `compute` gives for every drive, as `observe_all`.
+
+    Args:
+        tasks, checkpoints, workers, advance: as in `observe_all`.
+        compute: a plain function of a module, so that workers can import it.
+        read: the checkpoint at a path if it is of a key.
+        write: a result with its key to a path.
+
+    Raises:
+        PolemapError: what `compute` raised; drives that were done stay done.
+    """
+    results: dict[str, T] = {}
 
     def place(task: DriveTask) -> Path:
         return checkpoints / f"{task.key()}.npz"
 
     def done(task: DriveTask) -> bool:
-        part = read_checkpoint(place(task), task.key())
+        part = read(place(task), task.key())
         if part is not None:
             results[task.key()] = part
         return part is not None
 
-    def keep(task: DriveTask, part: DriveObservations) -> None:
-        write_checkpoint(part, task.key(), place(task))
+    def keep(task: DriveTask, part: T) -> None:
+        write(part, task.key(), place(task))
         results[task.key()] = part
 
-    run_jobs(tasks, observe, workers, done=done, keep=keep, advance=advance)
+    run_jobs(tasks, compute, workers, done=done, keep=keep, advance=advance)
     return [results[task.key()] for task in tasks]
 
 

@@ -49,6 +49,7 @@ _NODE_KEYFRAMES = round(SUBMAP_M / KEYFRAME_M)
 _SECTION_NODES = 33  # about a kilometre
 _MARGIN_KEYFRAMES = 20  # solved beside a section, so that its ends are known as well as its middle
 _POSE_SD_M = 0.1  # of a pass against its neighbours, as in `association`
+_PATH_S = 0.1
 _SHIFT_M = 1000.0
 
 
@@ -59,7 +60,7 @@ class Condensed:
     Attributes:
         name: of the drive in the map; frame: of its fixes.
         stamp_s: `(n,)` of the nodes; chain: `(n, 3)` their poses, section laid onto section.
-        path: the same at every stamp of the odometry.
+        path: the same ten times a second.
         steps: motion between nodes, about `calibration`.
         calibration: `(k, 6)` of the sections; calibration_s: `(k,)` where they begin.
         known, information: `(k, 6)`, `(k, 6, 6)` what poles say of the calibration.
@@ -152,7 +153,7 @@ def condense(
         chain[rows] = compose(end, relative(section.poses[0], solved.poses_at(stamps[rows])))
         end = compose(end, relative(section.poses[0], section.poses[-1]))
     chain[:, 2] = np.unwrap(chain[:, 2])
-    path = replace(route.path, poses=chain)
+    path = _thinned(replace(route.path, poses=chain))
     steps = [section.steps for section in sections]
     return Condensed(
         name=name,
@@ -221,6 +222,15 @@ def _cut(route: Route, first: int, last: int) -> Route:
 
 def _without_fixes(route: Route) -> Route:
     return replace(route, fix_s=np.empty(0), fix_m=np.empty((0, 2)), hdop=np.empty(0))
+
+
+def _thinned(path: Path) -> Path:
+    """The way ten times a second at most, which is all that is kept of a drive's odometry."""
+    tick = np.floor(path.stamp_s / _PATH_S)
+    keep = np.concatenate([[True], np.diff(tick) > 0])
+    keep[-1] = True
+    none = np.empty((np.count_nonzero(keep), 0))
+    return Path(path.stamp_s[keep], path.poses[keep], path.travelled_m[keep], none)
 
 
 def _condensed(state: State, nodes: Whole) -> _Section:

@@ -200,7 +200,7 @@ def solve_condensed(
     given = [parts[row] for row in order]
     frame, shift = _origin(given)
     opened = [_route(part, shift) for part in given]
-    check_fixed(opened)
+    check_fixed([part.name for part in given], [len(part.fix_s) > 0 for part in given])
     _check_twins(given)
     routes: list[Route] = [lay_on_fixes(route, config, thin=False) for route in opened]
     builder = CondensedBuilder(given, mapping, config, frame)

@@ -215,18 +215,18 @@ def _origin(drives: Sequence[tuple[str, Drive]], frame: EarthFrame) -> tuple[Ear
 def _check(routes: Sequence[Route], scans: Sequence[Sequence[Detections]]) -> None:
     for route, part in zip(routes, scans, strict=True):
         check_route(route, part)
-    check_fixed(routes)
+    check_fixed([route.name for route in routes], [len(route.fix_s) > 0 for route in routes])
     check_twins(routes)
 
 
-def check_fixed(routes: Sequence[Route]) -> None:
+def check_fixed(names: Sequence[str], fixed: Sequence[bool]) -> None:
     """Refuse drives that nothing ties to the others.
 
     Raises:
         InputError: one of several has no fix.
     """
-    without = [route.name for route in routes if not len(route.fix_s)]
-    if without and len(routes) > 1:
+    without = [name for name, known in zip(names, fixed, strict=True) if not known]
+    if without and len(names) > 1:
         raise InputError(
             f"drive {without[0]}: it has no GNSS fix, so that nothing says where it lies to the "
             "other drives; build its map by itself, or --update theirs with it"
