@@ -107,7 +107,8 @@ def test_what_does_not_go_together_is_one_line(
     built: Path, sim: Simulated, capsys: pytest.CaptureFixture[str]
 ) -> None:
     taxi, out = str(built / "taxi"), str(built / "x.gpkg")
-    assert run(["map", taxi, "--slam", "--workers", "2", "--out", out]) == 2
+    old = ["--update", str(built / "map.gpkg"), "--workers", "2"]
+    assert run(["map", taxi, *old, "--out", out]) == 2
     assert "leave out --workers" in capsys.readouterr().err
     surveyed = write_simulated(built / "surveyed", sim, reference=False)
     shutil.copy(built / "p" / "taxi.csv", surveyed / "reference.csv")
@@ -120,3 +121,22 @@ def test_what_does_not_go_together_is_one_line(
 def test_drives_names_become_names_of_files() -> None:
     assert file_stem("park:lap 1/2") == "park_lap 1_2"
     assert file_stem("..") == "drive"
+
+
+def test_workers_condense_drives_and_the_map_is_that_of_one_worker(
+    built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maps = []
+    for workers in ("1", "2"):
+        out = tmp_path / f"{workers}.gpkg"
+        arguments = ["map", str(built / "taxi"), "--slam", "--workers", workers, "--out", str(out)]
+        assert run([*arguments, "--poses", str(tmp_path / f"p{workers}")]) == 0
+        assert not (tmp_path / f".{out.name}.checkpoints").exists()
+        maps.append(read_map(out))
+    np.testing.assert_array_equal(maps[0].points_m, maps[1].points_m)
+    poses = [(tmp_path / f"p{workers}" / "taxi.tum").read_text() for workers in "12"]
+    assert poses[0] == poses[1]
+    whole = read_map(built / "map.gpkg")
+    pairs = match_points(maps[0].points_m, whole.points_m, 0.5)
+    assert len(pairs) >= 0.95 * len(whole)
+    assert "built without reference:" in capsys.readouterr().out

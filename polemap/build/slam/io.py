@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from polemap.build.city.io import observation_arrays, observations_of, write_arrays
 from polemap.build.slam.condense import Condensed
-from polemap.build.slam.motion import Increments, Path as Way
+from polemap.build.slam.motion import Increments
+from polemap.build.slam.motion import Path as Way
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.parsing.arrays import read_arrays
