@@ -32,7 +32,7 @@ def write_checkpoint(part: DriveObservations, key: str, path: Path) -> None:
     write_arrays({"version": _VERSION, "key": key, **head}, arrays, path)
 
 
-def write_arrays(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
+def write_arrays(head: Mapping[str, Any], arrays: Mapping[str, Any], path: Path) -> None:
     """Write arrays with a head of JSON."""
     with atomic_file(path) as target, target.open("wb") as stream:
         np.savez_compressed(stream, head=np.array(json.dumps(head)), **dict(arrays))

@@ -176,7 +176,7 @@ class CondensedBuilder(Builder):
             covariance = graph.covariance(anchors[rows], np.empty(0, dtype=np.int64))
             own = (cell[rows] == place).all(axis=1)
             found = find_loops(
-                [submaps[row] for row in rows], poses[rows], covariance, self._config, known,
+                [submaps[row] for row in rows.tolist()], poses[rows], covariance, self._config, known,
                 numbers=rows, own=own,
             )  # fmt: skip
             loops += found.loops
@@ -307,7 +307,8 @@ def _local_maps(
     pairs = pairs[times >= _SEEN_MIN]
     steps = np.arange(0.0, nodes[-1] + _STRIDE_M, _STRIDE_M)
     stamps = np.interp(steps, part.path.travelled_m, part.path.stamp_s)
-    places, owner = part.path.at(stamps)[:, :2], _nearest(nodes, steps)
+    places = part.path.at(stamps)[:, :2]
+    owner = _nearest(nodes, np.asarray(steps, dtype=np.float64))
     local = []
     for node in np.unique(pairs[:, 0]).tolist():
         own = pairs[pairs[:, 0] == node, 1]
