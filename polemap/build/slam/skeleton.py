@@ -176,8 +176,8 @@ class CondensedBuilder(Builder):
             covariance = graph.covariance(anchors[rows], np.empty(0, dtype=np.int64))
             own = (cell[rows] == place).all(axis=1)
             found = find_loops(
-                [submaps[row] for row in rows.tolist()], poses[rows], covariance, self._config, known,
-                numbers=rows, own=own,
+                [submaps[row] for row in rows.tolist()], poses[rows], covariance, self._config,
+                known, numbers=rows, own=own,
             )  # fmt: skip
             loops += found.loops
             ambiguous += found.ambiguous
