@@ -301,7 +301,7 @@ def _local_maps(
 ) -> list[Submap]:
     """Local maps about the nodes: of detections `row` `(d,)`, their `way` and `range_m`."""
     stride = np.floor(way / _STRIDE_M).astype(np.int64)
-    about = _nearest(nodes, (stride + 0.5) * _STRIDE_M)
+    about = _nearest(nodes, np.asarray((stride + 0.5) * _STRIDE_M, dtype=np.float64))
     strides = np.unique(np.column_stack([about, row, stride]), axis=0)
     pairs, times = np.unique(strides[:, :2], axis=0, return_counts=True)
     pairs = pairs[times >= _SEEN_MIN]
