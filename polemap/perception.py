@@ -76,6 +76,18 @@ class PolePerception:
         self._odometry.insert(sample)
         self._odometry.forget()
 
+    def match(self, frame: StereoFrame) -> DisparityPair:
+        """Disparities of a stereo frame, as `perceive` makes them.
+
+        Raises:
+            InputError: there is no camera.
+            StereoError: images that do not fit the camera.
+        """
+        if self._rig is None:
+            raise InputError("perception: a stereo frame came, but the drive has no camera")
+        self._matcher = self._matcher or make_matcher(self._stereo, self._rig)
+        return self._matcher.match(frame.left, frame.right)
+
     def scan_frame(self, frame: StereoFrame) -> Detections:
         """The tracked poles of a stereo frame; see `perceive`."""
         return self.perceive(frame).scan
@@ -96,8 +108,7 @@ class PolePerception:
         if self._rig is None:
             raise InputError("perception: a stereo frame came, but the drive has no camera")
         if disparity is None:
-            self._matcher = self._matcher or make_matcher(self._stereo, self._rig)
-            disparity = self._matcher.match(frame.left, frame.right)
+            disparity = self.match(frame)
         self._classifier = self._classifier or read_classifier(self._config.detection.model)
         view = detect(frame, disparity, self._rig, self._classifier, self._config.detection)
         corrected, scan = self._track_stereo(view.detections)

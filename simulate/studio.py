@@ -20,7 +20,7 @@ from polemap.simulate.image_sensor import SENSOR, expose, exposure_of, make_unit
 from polemap.simulate.render import Renderer, RenderOptions, View
 from polemap.simulate.route import Route
 from polemap.simulate.scenario import Scenario
-from polemap.simulate.traffic import make_traffic, moving_mesh
+from polemap.simulate.traffic import Mover, make_traffic, moving_mesh
 from polemap.simulate.truth import to_disparity_png, to_owner_png
 from polemap.simulate.world import World, make_world
 from polemap.stereo.rig import rotation_from_angles
@@ -74,41 +74,90 @@ def make_plan(
     return Plan(scenario, seed, config, laps, motion, stamps, arrivals, bumps, wander)
 
 
-class Studio:
-    """Takes the pictures of a plan; every picture depends on the seed and its number alone."""
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Where the car is, and how its body leans, when a picture is taken.
 
-    def __init__(self, plan: Plan, world: World, threads: int) -> None:
+    Attributes:
+        stamp_s: the plan's time, by which traffic moves.
+        pose: `(3,)` of the rear axle in the world's local metres.
+        lateral_m: left of the route's centre line.
+        street_yaw_rad: heading of the route there.
+        acceleration_mps2, lateral_mps2: along and across the car.
+        body_rad: `(2,)` roll and pitch by bumps.
+    """
+
+    stamp_s: float
+    pose: Floats
+    lateral_m: float
+    street_yaw_rad: float
+    acceleration_mps2: float
+    lateral_mps2: float
+    body_rad: Floats
+
+
+class Studio:
+    """Takes the pictures of a plan; every picture depends on the seed and its number alone.
+
+    Args:
+        plan: of the drive.
+        world: what stands still.
+        threads: of the renderer; 0 for as many as it likes.
+        movers: what moves; drawn for the plan by default.
+    """
+
+    def __init__(
+        self, plan: Plan, world: World, threads: int, movers: list[Mover] | None = None
+    ) -> None:
         quality = plan.config.render
         options = RenderOptions(
             shadows=quality.shadows, shadow_rays=quality.shadow_rays, threads=threads
         )
         self.plan, self.world = plan, world
         self.renderer = Renderer(world, plan.config.camera.rig(), options)
-        self._movers = make_traffic(world, plan.motion, np.random.default_rng([plan.seed, 30]))
+        if movers is None:
+            movers = make_traffic(world, plan.motion, np.random.default_rng([plan.seed, 30]))
+        self._movers = movers
         rng = np.random.default_rng([plan.seed, 31])
         self._units = make_units(plan.config.camera, rng)
         tilt = np.deg2rad(plan.config.camera.calibration_error_deg) * rng.standard_normal(3)
         self._tilt = rotation_from_angles(*tilt)
 
     def views(self, number: int) -> tuple[View, View]:
-        """What both cameras see in picture `number`."""
+        """What both cameras see in picture `number` of the plan."""
         plan = self.plan
         stamp = plan.frame_stamps_s[number : number + 1]
-        x, y, yaw = plan.motion.at(stamp)[0]
-        lateral = float(plan.motion.value("lateral_m", stamp)[0])
-        push = float(plan.motion.value("acceleration_mps2", stamp)[0])
-        swing = float(
-            plan.motion.value("speed_mps", stamp)[0] * plan.motion.value("yaw_rate_radps", stamp)[0]
+        speed, rate = (
+            plan.motion.value(name, stamp)[0] for name in ("speed_mps", "yaw_rate_radps")
         )
-        section = self.world.section
         street = self.world.route.at(plan.motion.value("station_m", stamp))[0, 2]
-        slope, turned = np.arctan(section.slope_at(lateral)), yaw - street
-        roll = slope * np.cos(turned) + _ROLL_PER_MPS2 * swing + plan.body_rad[number, 0]
-        pitch = -slope * np.sin(turned) - _PITCH_PER_MPS2 * push + plan.body_rad[number, 1]
+        return self.views_at(
+            Moment(
+                float(stamp[0]),
+                plan.motion.at(stamp)[0],
+                float(plan.motion.value("lateral_m", stamp)[0]),
+                float(street),
+                float(plan.motion.value("acceleration_mps2", stamp)[0]),
+                float(speed * rate),
+                plan.body_rad[number],
+            )
+        )
+
+    def views_at(self, moment: Moment) -> tuple[View, View]:
+        """What both cameras see."""
+        x, y, yaw = moment.pose
+        section, lateral = self.world.section, moment.lateral_m
+        slope, turned = np.arctan(section.slope_at(lateral)), yaw - moment.street_yaw_rad
+        roll = slope * np.cos(turned) + _ROLL_PER_MPS2 * moment.lateral_mps2 + moment.body_rad[0]
+        pitch = (
+            -slope * np.sin(turned)
+            - _PITCH_PER_MPS2 * moment.acceleration_mps2
+            + moment.body_rad[1]
+        )
         place = np.array([x, y, float(section.height_at(lateral))])
         rig = self.renderer.rig
         poses = camera_poses(rig, place, rotation_from_angles(yaw, pitch, roll), self._tilt)
-        moving = moving_mesh(self._movers, self.world, float(stamp[0]))
+        moving = moving_mesh(self._movers, self.world, moment.stamp_s)
         return self.renderer.pair(poses, moving)
 
     def picture(self, number: int, views: tuple[View, View] | None = None) -> tuple[Image, Image]:

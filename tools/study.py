@@ -34,7 +34,7 @@ def command(
         str,
         typer.Argument(
             help="Estimation: W12, W13, W14, N13. Closed loops: N13-slip, N13-cornering, "
-            "W14-lane-change, W14-margins, path-following. all runs them all."
+            "W14-lane-change, W14-margins, path-following, full-loop. all runs all but the last."
         ),
     ],
     out: Annotated[
@@ -55,7 +55,8 @@ def command(
     Ratios and orderings are compared, since the papers print no noise and no steering amplitude.
     The column errata holds what an independent simulation of the corrected equations gave. The
     closed loops run the controllers on a two-track car behind estimators, or a car that steers
-    along a path by the localizer's pose. A page of tables and pictures is written: study.html in
+    along a path by the localizer's pose: full-loop with pictures all the way, which takes half an
+    hour. A page of tables and pictures is written: study.html in
     the folder of --out, or study_NAME.html here.
 
     Examples:
@@ -69,7 +70,10 @@ def command(
     wanted = name.lower().replace("_", "-")
     if wanted != "all" and wanted not in known:
         raise ConfigError(f"no study {name}; there are {', '.join(known.values())} and all")
-    chosen = list(known.values()) if wanted == "all" else [known[wanted]]
+    together = [
+        each for each in known.values() if each not in LOOP_STUDIES or not LOOP_STUDIES[each].apart
+    ]
+    chosen = together if wanted == "all" else [known[wanted]]
     if estimator and chosen[0] not in LOOP_STUDIES:
         raise ConfigError(f"--estimator: {name} is no closed loop, it compares all estimators")
     if out is not None:
@@ -141,6 +145,13 @@ def write_study(study: Study, folder: Path) -> None:
     figure = _panels(study) if study.panels else _side_slips(study)
     with atomic_file(folder / f"{study.name}.png") as part:
         figure.savefig(str(part), dpi=110)
+    if study.shown:
+        from polemap.tools.report.signals_page import draw_shown
+
+        strip: Figure = need("matplotlib.figure").Figure(figsize=(12, 5.4), layout="constrained")
+        draw_shown(strip, study.shown)
+        with atomic_file(folder / f"{study.name}_pictures.png") as part:
+            strip.savefig(str(part), dpi=110)
 
 
 def _panels(study: Study) -> Figure:

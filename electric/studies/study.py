@@ -50,11 +50,21 @@ class Panel:
 
 
 @dataclass(frozen=True, slots=True)
+class Shown:
+    """A grey picture of a study, `(rows, columns)`, and lines `(n, 2, 2)` in its pixels."""
+
+    label: str
+    image: NDArray[np.uint8] | NDArray[np.uint16]
+    lines_px: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class Study:
     """What a study brings.
 
     `curves` are side-slips in the first drive, truth first; a study with `panels` shows those
-    instead. `headings` are the three columns beside a row's name.
+    instead. `headings` are the three columns beside a row's name. `shown` are pictures of the first
+    drive.
     """
 
     name: str
@@ -65,3 +75,4 @@ class Study:
     figures: dict[str, float]
     panels: tuple[Panel, ...] = ()
     headings: tuple[str, str, str] = ("ours", "errata", "the paper says")
+    shown: tuple[Shown, ...] = ()

@@ -4,36 +4,37 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from math import nan
+from time import process_time
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.samples import GnssFix, OdometrySample
-from polemap.electric.control.path import StanleySettings, stanley_steer
+from polemap.electric.control.path import Path, StanleySettings, stanley_steer
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.localizer import Localizer
 from polemap.localize.particle_filter.estimate import PfEstimate
+from polemap.map.pole_map import PoleMap
 from polemap.simulate.closed_loop.cars import PASSENGER_CAR, plant_of
-from polemap.simulate.closed_loop.road import Road, winding_road
+from polemap.simulate.closed_loop.eyes import DetectorEye, Eye
+from polemap.simulate.closed_loop.follow_run import STEER_S, FollowRun
+from polemap.simulate.closed_loop.road import winding_road
 from polemap.simulate.config import DetectorConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.plant import REAR_LEFT, REAR_RIGHT, Plant, PlantInput, PlantState
 from polemap.simulate.points.drive import GNSS, ODOMETRY, RECEIVER
-from polemap.vehicle.packed import transform_point
+from polemap.vehicle.packed import rotate_back, transform_point
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.pose import Pose2D
+from polemap.vehicle.pose import Pose2D, wrap_angle
 
 Floats = NDArray[np.float64]
 Source = Literal["truth", "filter", "raw"]
 
-STEER_S, ODOMETRY_S, GNSS_S, SCAN_S = 0.01, 0.02, 0.2, 0.045
-HANDOVER_S, PATIENCE_S, SETTLE_S = 6.0, 20.0, 3.0
+ODOMETRY_S, GNSS_S, SCAN_S = 0.02, 0.2, 0.045
+HANDOVER_S, PATIENCE_S = 6.0, 20.0
 LEFT_THE_ROAD_M = 3.0
-SWING_M, SWING_S, SWINGS = 0.1, 2.0, 4
-"""An oscillation: at least four successive swings of the lateral error of 0.1 m or more, each
-within 2 s. The road's own bends take longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,7 @@ class FollowScenario:
         source: what the car steers by: the true pose, the localizer's 100 Hz output, or the
             particle filter's last pose as it is.
         camera_delay_s: from a picture to the pose that comes of it; of the truth: its age.
+        healthy_only: whether the driver takes over while the output calls itself unhealthy, too.
     """
 
     speed_mps: float
@@ -52,68 +54,7 @@ class FollowScenario:
     duration_s: float = 45.0
     lateral_mps2: float = 2.0
     curvature_max_radpm: float = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class FollowRun:
-    """A drive at 100 Hz; arrays `(n,)`, lateral errors of the front axle, left positive.
-
-    `engaged_s` is when the car was handed over,
-    nan if never; `driver_share` the share of the time since in which the localizer was not sure
-    and the driver steered.
-    """
-
-    stamp_s: Floats
-    lateral_m: Floats
-    steer_rad: Floats
-    engaged_s: float
-    driver_share: float
-    left_road: bool
-
-    def scored(self) -> NDArray[np.bool_]:
-        """From three seconds after the handover on."""
-        return np.asarray(self.stamp_s >= self.engaged_s + SETTLE_S)
-
-    def rms_m(self) -> float:
-        """RMS of the lateral error."""
-        return float(np.sqrt(np.mean(self.lateral_m[self.scored()] ** 2)))
-
-    def largest_m(self) -> float:
-        """Largest lateral error."""
-        return float(np.abs(self.lateral_m[self.scored()]).max())
-
-    def swings(self) -> int:
-        """Longest row of successive quick swings; see `SWINGS`."""
-        late = self.scored()
-        return longest_swinging(self.stamp_s[late], self.lateral_m[late])
-
-    def steer_rate_rms_radps(self) -> float:
-        """How restless the wheel is."""
-        rate = np.diff(self.steer_rad) / STEER_S
-        return float(np.sqrt(np.mean(rate[self.scored()[1:]] ** 2)))
-
-
-def longest_swinging(stamps_s: Floats, values: Floats) -> int:
-    """Length of the longest row of swings of `SWING_M` or more that take `SWING_S` or less each."""
-    turns: list[tuple[float, float]] = []
-    best, worst = 0, 0
-    low = high = (float(stamps_s[0]), float(values[0]))
-    way = 0
-    for stamp, value in zip(stamps_s.tolist(), values.tolist(), strict=True):
-        if value > high[1]:
-            high = (stamp, value)
-        if value < low[1]:
-            low = (stamp, value)
-        if way >= 0 and high[1] - value >= SWING_M:
-            turns.append(high)
-            way, low = -1, (stamp, value)
-        elif way <= 0 and value - low[1] >= SWING_M:
-            turns.append(low)
-            way, high = 1, (stamp, value)
-    for (begin, _), (end, _) in pairwise(turns):
-        worst = worst + 1 if end - begin <= SWING_S else 0
-        best = max(best, worst)
-    return best
+    healthy_only: bool = False
 
 
 def road_car(car: Car) -> Car:
@@ -139,31 +80,65 @@ def follow_path(
     bends = min(scenario.lateral_mps2 / scenario.speed_mps**2, scenario.curvature_max_radpm)
     length = scenario.speed_mps * (scenario.duration_s + 2.0) + 60.0
     road = winding_road(length, bends, rngs[0])
-    return _Drive(car, scenario, road, rngs[1:], config or LocalizeConfig()).run()
+    detector = PoleDetector(
+        road.poles.points_m,
+        road.poles.width_m,
+        DetectorConfig(latency_s=scenario.camera_delay_s),
+        rngs[2],
+    )
+    sees = scenario.source != "truth"
+    eye = DetectorEye(detector, scenario.camera_delay_s) if sees else None
+    course = Course(road.path, road.pole_map, Pose2D(*road.start.tolist()))
+    return PathDrive(car, scenario, course, eye, (rngs[1], rngs[3]), config).run()
 
 
-class _Drive:
-    """State of a drive in progress."""
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A path to follow, the map to do it by, and the pose that the car starts from."""
+
+    path: Path
+    pole_map: PoleMap
+    start: Pose2D
+
+
+class PathDrive:
+    """A drive in progress.
+
+    Args:
+        car: its plant is that of `road_car`.
+        scenario: speed, length, and what the car steers by.
+        course: where it goes.
+        eye: sees the poles; None where the car steers by the truth.
+        rngs: of odometry and GNSS, and of the particles.
+        config: of the localizer.
+        scan_s: time between pictures.
+    """
 
     def __init__(
         self,
         car: Car,
         scenario: FollowScenario,
-        road: Road,
-        rngs: list[np.random.Generator],
-        config: LocalizeConfig,
+        course: Course,
+        eye: Eye | None,
+        rngs: tuple[np.random.Generator, np.random.Generator],
+        config: LocalizeConfig | None = None,
+        *,
+        scan_s: float = SCAN_S,
     ) -> None:
-        rng, seen, particles = rngs
-        self._car, self._scenario, self._road, self._rng = road_car(car), scenario, road, rng
+        self._rng, particles = rngs
+        rng = self._rng
+        self._car, self._scenario, self._course, self._eye = road_car(car), scenario, course, eye
+        self._scan_s = scan_s
         self._parameters = plant_of(self._car, PASSENGER_CAR)
         self._plant = Plant(self._parameters)
         self._localizer = Localizer(
-            road.pole_map, config, car.wheelbase_m, particles, processing_delay_s=0.0
+            course.pole_map,
+            config or LocalizeConfig(),
+            car.wheelbase_m,
+            particles,
+            processing_delay_s=0.0,
         )
-        detector = DetectorConfig(latency_s=scenario.camera_delay_s)
-        self._detector = PoleDetector(road.poles.points_m, road.poles.width_m, detector, seen)
         self._raw: PfEstimate | None = None
-        self._waiting: deque[tuple[float, Floats]] = deque()
         self._past: deque[tuple[float, Pose2D]] = deque()
         # what stays wrong over the whole drive, drawn once
         self._scale = 1.0 + ODOMETRY.speed_scale_sd * rng.standard_normal()
@@ -173,8 +148,9 @@ class _Drive:
         self._settings = StanleySettings(front_slip_rad_per_mps2=car.front_slip_rad_per_mps2)
 
     def run(self) -> FollowRun:
+        """Drive; ends early where the car leaves the road, or was never handed over."""
         state = self._start()
-        rows: list[tuple[float, float, float]] = []
+        rows: list[tuple[float, ...]] = []
         engaged, near, steer, left, taken_back = float("nan"), 0.0, 0.0, False, 0
         ticks = {"odometry": 0.0, "gnss": 0.05, "scan": 0.5, "steer": 0.0}
         for k in range(round(self._scenario.duration_s / self._plant.step_s)):
@@ -192,21 +168,22 @@ class _Drive:
                 used = believed if engaged == engaged and believed is not None else rear
                 taken_back += engaged == engaged and believed is None
                 steer = self._steer(used, state, near, by_truth=used is rear)
-                true = self._road.path.locate(*self._front(rear), rear.yaw_rad, near)
+                true = self._course.path.locate(*self._front(rear), rear.yaw_rad, near)
                 near = true.station_m
-                rows.append((now, true.lateral_m, steer))
+                rows.append((now, true.lateral_m, steer, *_error(believed, rear)))
                 if abs(true.lateral_m) > LEFT_THE_ROAD_M:
                     left = True
                     break
             push = 1.0 * self._parameters.mass_kg * (self._scenario.speed_mps - self._speed)
             torque = push * self._parameters.wheel_radius_m / 4.0
             state = self._plant.step(state, PlantInput(steer, (torque, torque, torque, torque)))
-        stamps, lateral, steering = np.array(rows).T
+        table = np.array(rows)
+        stamps, lateral, steering = table[:, :3].T
         share = taken_back / max(1, int((stamps >= engaged).sum()))
-        return FollowRun(stamps, lateral, steering, engaged, share, left)
+        return FollowRun(stamps, lateral, steering, engaged, share, left, table[:, 3:])
 
     def _start(self) -> PlantState:
-        start = Pose2D(*self._road.start.tolist())
+        start = self._course.start
         east, north = transform_point(start, self._parameters.rear_m + 2.0, 0.0)
         rolling = self._plant.rolling(self._scenario.speed_mps)
         return replace(rolling, east_m=east, north_m=north, yaw_rad=start.yaw_rad)
@@ -232,9 +209,11 @@ class _Drive:
                 + self._bias
                 + ODOMETRY.yaw_noise_sd_radps * rng.standard_normal()
             )
-            if self._scenario.source != "truth":
-                self._localizer.add_sample(OdometrySample(now, now, self._speed, self._yaw_rate))
-        if self._scenario.source == "truth":
+            if self._eye is not None:
+                sample = OdometrySample(now, now, self._speed, self._yaw_rate)
+                self._localizer.add_sample(sample)
+                self._eye.record_odometry(sample)
+        if self._eye is None:
             return
         rear = self._rear(state)
         if now >= ticks["gnss"] - 1e-9:
@@ -245,12 +224,12 @@ class _Drive:
             x, y = (self._gnss_error + RECEIVER.noise_sd_m * rng.standard_normal(2)).tolist()
             self._localizer.add_sample(GnssFix(now, now, rear.x_m + x, rear.y_m + y, 1.0))
         if now >= ticks["scan"] - 1e-9:
-            ticks["scan"] += SCAN_S
-            self._waiting.append((now, np.array(rear)))
-        while self._waiting and self._waiting[0][0] + self._scenario.camera_delay_s <= now + 1e-9:
-            stamp, pose = self._waiting.popleft()
-            scan = replace(self._detector.scan(stamp, pose), arrival_s=now)
+            ticks["scan"] += self._scan_s
+            self._eye.look(now, rear, state)
+        for scan in self._eye.scans(now):
+            begin = process_time()
             found = self._localizer.add_sample(scan)
+            self._eye.localized(process_time() - begin)
             self._raw = found if found is not None else self._raw
 
     def _believed(self, now: float, rear: Pose2D) -> Pose2D | None:
@@ -264,7 +243,7 @@ class _Drive:
             ready = self._raw is not None and self._raw.healthy
             return Pose2D(*self._raw.pose.tolist()) if self._raw is not None and ready else None
         pose = self._localizer.pose_at(now)
-        if pose is None or pose.pose_age_s > 1.0:
+        if pose is None or pose.pose_age_s > 1.0 or (self._scenario.healthy_only and pose.distrust):
             return None
         return Pose2D(*pose.pose)
 
@@ -273,6 +252,14 @@ class _Drive:
         if by_truth or self._scenario.source == "truth":
             speed, rate = state.vx_mps, state.yaw_rate_radps
         steer, _ = stanley_steer(
-            self._road.path, pose, speed, rate, self._car.wheelbase_m, self._settings, near
+            self._course.path, pose, speed, rate, self._car.wheelbase_m, self._settings, near
         )
         return steer
+
+
+def _error(believed: Pose2D | None, true: Pose2D) -> tuple[float, float, float]:
+    """Of a pose, along and to the left of the true one, and in yaw; nan where there is none."""
+    if believed is None:
+        return (nan, nan, nan)
+    x, y = rotate_back(believed.x_m - true.x_m, believed.y_m - true.y_m, true.yaw_rad)
+    return x, y, float(wrap_angle(believed.yaw_rad - true.yaw_rad))

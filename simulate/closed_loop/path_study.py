@@ -7,15 +7,8 @@ import numpy as np
 from polemap.drivelog.errors import ConfigError
 from polemap.electric.studies.scenes import KMH
 from polemap.electric.studies.study import Line, Panel, Report, Study, curves_of
-from polemap.simulate.closed_loop.path_following import (
-    SWING_M,
-    SWING_S,
-    SWINGS,
-    FollowRun,
-    FollowScenario,
-    Source,
-    follow_path,
-)
+from polemap.simulate.closed_loop.follow_run import SWING_M, SWING_S, SWINGS, FollowRun
+from polemap.simulate.closed_loop.path_following import FollowScenario, Source, follow_path
 from polemap.vehicle.parameters import Car
 
 NAME = "path-following"

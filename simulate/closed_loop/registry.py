@@ -7,6 +7,7 @@ from typing import Protocol
 
 from polemap.electric.studies.study import Report, Study
 from polemap.simulate.closed_loop.cornering_study import cornering_study
+from polemap.simulate.closed_loop.full_loop_study import full_loop_study
 from polemap.simulate.closed_loop.lane_study import lane_study
 from polemap.simulate.closed_loop.margin_study import margin_study
 from polemap.simulate.closed_loop.path_study import path_study
@@ -30,11 +31,13 @@ class Entry:
         run: the study.
         seeds: how many drives it takes by default.
         car: the car that it is about, unless another is asked for.
+        apart: takes so long that `all` leaves it out.
     """
 
     run: LoopStudy
     seeds: int
     car: str = "coms"
+    apart: bool = False
 
 
 LOOP_STUDIES: dict[str, Entry] = {
@@ -43,5 +46,6 @@ LOOP_STUDIES: dict[str, Entry] = {
     "W14-lane-change": Entry(lane_study, 3),
     "W14-margins": Entry(margin_study, 1),
     "path-following": Entry(path_study, 3, "passat"),
+    "full-loop": Entry(full_loop_study, 3, "passat", apart=True),
 }
 """By name."""

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from polemap import __version__
 from polemap.electric.gaps import find_gaps
 from polemap.electric.signals import Played, SignalLog
-from polemap.electric.studies.study import Curve, Panel, Study
+from polemap.electric.studies.study import Curve, Panel, Shown, Study
 from polemap.electric.watched import Fault, Record
 from polemap.tools.report.page import page_environment, style_sheet
 from polemap.tools.report.style import (
@@ -113,6 +114,8 @@ def study_section(study: Study, seeds: int) -> SignalSection:
     )
     panels = study.panels or _side_slip_panels(study)
     pictures = tuple(_panel(study.name, number, panel) for number, panel in enumerate(panels))
+    if study.shown:
+        pictures = (*pictures, _strip(study))
     return SignalSection(
         study.name.lower(),
         study.name,
@@ -313,6 +316,25 @@ def _panel(name: str, place: int, panel: Panel) -> Picture:
             legend_above(axes, 4)
         title = panel.label.split(",")[0].capitalize()
         return finish(figure, f"{name}_{place}", title, f"{name}, first drive.")
+
+
+def _strip(study: Study) -> Picture:
+    with drawing(9.0, 2.0 * -(-len(study.shown) // 3)) as figure:
+        draw_shown(figure, study.shown)
+        caption = f"{study.name}, first drive: left pictures with the poles that were tracked then."
+        return finish(figure, f"{study.name}_pictures", "What the car saw", caption)
+
+
+def draw_shown(figure: Figure, shown: Sequence[Shown]) -> None:
+    """Pictures in rows of three, their lines over them."""
+    for place, one in enumerate(shown):
+        axes = figure.add_subplot(-(-len(shown) // 3), 3, place + 1)
+        rows, columns = one.image.shape
+        axes.imshow(one.image, cmap="gray", interpolation="antialiased")
+        for line in one.lines_px:
+            axes.plot(*line.T, color=COLOURS["kf"], lw=1.5)
+        axes.set(xlim=(0, columns), ylim=(rows, 0), xticks=[], yticks=[])
+        axes.set_title(one.label, fontsize=9)
 
 
 def _plain(signal: str) -> str:

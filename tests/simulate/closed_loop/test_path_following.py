@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.errors import ConfigError
-from polemap.simulate.closed_loop.path_following import (
-    FollowScenario,
-    follow_path,
-    longest_swinging,
-)
+from polemap.simulate.closed_loop.follow_run import longest_swinging
+from polemap.simulate.closed_loop.path_following import FollowScenario, follow_path
 from polemap.simulate.closed_loop.path_study import path_study
 from polemap.simulate.closed_loop.road import winding_road
 from polemap.vehicle.io import load_car

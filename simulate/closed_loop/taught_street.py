@@ -1,0 +1,165 @@
+"""A street with pictures: the driver drives it once, and the car is to come again by itself.
+
+Between the two drives parked cars leave and others come, and the traffic is another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path as FilePath
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from polemap.build.build_map import build_map
+from polemap.config import PolemapConfig
+from polemap.drivelog.atomic import scratch_folder
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.readers.registry import open_drive
+from polemap.drivelog.samples import StereoFrame
+from polemap.electric.control.path import Path
+from polemap.perception import PolePerception
+from polemap.simulate.closed_loop.path_following import Course
+from polemap.simulate.config import SimulateConfig
+from polemap.simulate.drive import simulate_drive
+from polemap.simulate.driver import STEP_S, Motion
+from polemap.simulate.image_sensor import SENSOR
+from polemap.simulate.scenario import Scenario, load_scenario
+from polemap.simulate.sensors import gauss_markov
+from polemap.simulate.studio import Plan, Studio, make_plan
+from polemap.simulate.traffic import make_traffic
+from polemap.simulate.world import World, make_world
+from polemap.stereo.config import StereoConfig
+from polemap.vehicle.pose import Pose2D
+
+Floats = NDArray[np.float64]
+
+# a street of 560 m whose bends can be driven at 50 km/h
+_CORNERS_M = [(0.0, 0.0), (150.0, 14.0), (300.0, -34.0), (440.0, 6.0), (560.0, -10.0)]
+_CORNER_RADIUS_M = 110.0
+# of all places to park, taken in the first drive, and again in the second
+_PARKED_SHARE, _PARKED_KEEP = 0.6, 0.9
+# poles along a reference's path for the controller, and how it is smoothed (sd)
+_STEP_M, _SMOOTH_M, _ENDS_M = 0.5, 2.0, 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class TaughtStreet:
+    """What one drive with a driver and a reference has taught, and the world of the next.
+
+    Attributes:
+        course: path of the driver's rear axle, and the map of the poles seen on it.
+        world: as it looks when the car comes again.
+        config, seed: of the simulation, for the camera and all draws.
+    """
+
+    course: Course
+    world: World
+    config: SimulateConfig
+    seed: int
+
+    @property
+    def origin_m(self) -> Floats:
+        """Of the world's metres in the map's frame."""
+        scenario = self.world.scenario
+        return np.array([scenario.origin_east_m, scenario.origin_north_m])
+
+    def studio(self, speed_mps: float, duration_s: float, period_s: float) -> Studio:
+        """Pictures of a drive at constant speed, at any pose; see `Studio.views_at`."""
+        motion = _steady(self.world, speed_mps, duration_s)
+        stamps = np.arange(0.0, duration_s + 1.0, period_s)
+        rng = np.random.default_rng([self.seed, 33])
+        bumps = gauss_markov(stamps, 0.0022, 0.3, rng, 2)
+        exposure = gauss_markov(stamps, SENSOR.exposure_wander, 4.0, rng)[:, 0]
+        plan = Plan(
+            self.world.scenario, self.seed, self.config, 1, motion, stamps, stamps, bumps, exposure
+        )
+        movers = make_traffic(self.world, motion, np.random.default_rng([self.seed, 34]))
+        return Studio(plan, self.world, 1, movers)
+
+
+def street_scenario() -> Scenario:
+    """The packaged suburb along gentler bends."""
+    tree = load_scenario("suburb").model_dump(mode="json")
+    tree["name"] = "street"
+    tree["route"] = {
+        "corners_m": _CORNERS_M, "corner_radius_m": _CORNER_RADIUS_M, "closed": False,
+    }  # fmt: skip
+    tree["drive"] |= {"speed_mps": 10.0, "evasions": 0.0}
+    for row in tree["rows"]:
+        if row["kind"].startswith("parked_"):
+            row["keep"] = _PARKED_KEEP
+    return Scenario.model_validate(tree)
+
+
+def teach(seed: int, config: PolemapConfig | None = None) -> TaughtStreet:
+    """Drive the street once with pictures and a reference, and map it."""
+    config, simulated = config or PolemapConfig(), SimulateConfig()
+    scenario = street_scenario().lit(simulated.light)
+    every = make_world(scenario, seed)
+    rng = np.random.default_rng([seed, 32])
+    first, again = (make_world(scenario, seed, _left(every, rng)) for _ in range(2))
+    plan = make_plan(first.route, scenario, 1, seed, simulated)
+    with scratch_folder() as place:
+        folder = simulate_drive(
+            street_scenario(), FilePath(place) / "drive", 1, seed, simulated, images=False
+        )
+        drive = open_drive(folder)
+        scans = partial(_seen, Studio(plan, first, 1), config)
+        pole_map = build_map([drive], config, scans).pole_map
+        assert drive.reference is not None
+        path, start = _path_of(drive.reference.poses)
+    return TaughtStreet(Course(path, pole_map, start), again, simulated, seed)
+
+
+def _left(world: World, rng: np.random.Generator) -> frozenset[int]:
+    """Parked cars that are not there this time."""
+    parked = [one.owner for one in world.objects if one.kind.startswith("parked_")]
+    away = rng.random(len(parked)) > _PARKED_SHARE
+    return frozenset(np.array(parked, dtype=np.int64)[away].tolist())
+
+
+def _seen(studio: Studio, config: PolemapConfig, drive: Drive) -> list[Detections]:
+    plan = studio.plan
+    rig = studio.renderer.rig
+    perception = PolePerception(rig, config, stereo=StereoConfig(threads=1))
+    odometry = drive.odometry
+    assert odometry is not None
+    scans, row = [], 0
+    for number, stamp in enumerate(plan.frame_stamps_s.tolist()):
+        while row < len(odometry) and odometry.stamp_s[row] <= stamp:
+            perception.record_odometry(odometry.sample(row))
+            row += 1
+        left, right = studio.picture(number)
+        arrival = float(plan.frame_arrivals_s[number])
+        scans.append(perception.scan_frame(StereoFrame(stamp, arrival, number, left, right)))
+    return scans
+
+
+def _path_of(poses: Floats) -> tuple[Path, Pose2D]:
+    """A smooth path through poses `(n, 3)` of a drive, and the pose at its beginning."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    station = np.arange(0.0, way[-1], _STEP_M)
+    points = np.stack([np.interp(station, way, poses[:, k]) for k in (0, 1)], axis=1)
+    smooth = gaussian_filter1d(points, _SMOOTH_M / _STEP_M, axis=0, mode="nearest")
+    ends = round(_ENDS_M / _STEP_M)
+    smooth = smooth[ends:-ends]
+    step = smooth[1] - smooth[0]
+    x, y = smooth[0].tolist()
+    return Path(smooth), Pose2D(x, y, float(np.arctan2(step[1], step[0])))
+
+
+def _steady(world: World, speed_mps: float, duration_s: float) -> Motion:
+    """Along the lane at one speed: whom the car meets is planned by it."""
+    stamps = np.arange(0.0, duration_s, STEP_S)
+    lane = world.scenario.drive.lane_offset_m
+    station = np.minimum(speed_mps * stamps + 2.0 * _ENDS_M, world.route.length_m - 1.0)
+    still, level = np.zeros(len(stamps)), np.full(len(stamps), lane)
+    speed = np.full(len(stamps), speed_mps)
+    return Motion(
+        stamps, world.route.at(station, lane), speed, still, still, still, still, level, still,
+        station, np.array([0.0, stamps[-1]]),
+    )  # fmt: skip
