@@ -122,6 +122,7 @@ class Left:
 
 LEFT = (
     Left(r"^polemap demo", "two minutes", long=True),
+    Left(r"^polemap study full-loop", "an hour; test_full_loop.py closes it on a short street"),
     Left(r"^polemap study", "ten seconds to minutes; tests/tools/test_study.py runs short ones",
          long=True),
     Left(r"^make (?:demo|site|docs|lint)$", "minutes, or writes into the source", long=True),

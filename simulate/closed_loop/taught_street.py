@@ -95,18 +95,25 @@ def street_scenario() -> Scenario:
     return Scenario.model_validate(tree)
 
 
-def teach(seed: int, config: PolemapConfig | None = None) -> TaughtStreet:
-    """Drive the street once with pictures and a reference, and map it."""
+def teach(
+    seed: int, config: PolemapConfig | None = None, scenario: Scenario | None = None
+) -> TaughtStreet:
+    """Drive a street once with pictures and a reference, and map it.
+
+    Args:
+        seed: of the world, the sensors and the traffic.
+        config: of perception and map.
+        scenario: an open street; `street_scenario` by default.
+    """
     config, simulated = config or PolemapConfig(), SimulateConfig()
-    scenario = street_scenario().lit(simulated.light)
+    unlit = scenario or street_scenario()
+    scenario = unlit.lit(simulated.light)
     every = make_world(scenario, seed)
     rng = np.random.default_rng([seed, 32])
     first, again = (make_world(scenario, seed, _left(every, rng)) for _ in range(2))
     plan = make_plan(first.route, scenario, 1, seed, simulated)
     with scratch_folder() as place:
-        folder = simulate_drive(
-            street_scenario(), FilePath(place) / "drive", 1, seed, simulated, images=False
-        )
+        folder = simulate_drive(unlit, FilePath(place) / "drive", 1, seed, simulated, images=False)
         drive = open_drive(folder)
         scans = partial(_seen, Studio(plan, first, 1), config)
         pole_map = build_map([drive], config, scans).pole_map

@@ -1,0 +1,129 @@
+"""Pictures in the closed loop: what is dropped, how old poses are, and a short street whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.samples import Image, OdometrySample
+from polemap.simulate.closed_loop import full_loop_study as study
+from polemap.simulate.closed_loop.camera_eye import READOUT_S, CameraEye
+from polemap.simulate.closed_loop.taught_street import (
+    TaughtStreet,
+    _left,
+    _path_of,
+    street_scenario,
+    teach,
+)
+from polemap.simulate.plant import PlantState
+from polemap.simulate.scenario import Scenario
+from polemap.simulate.world import make_world
+from polemap.vehicle.io import load_car
+from polemap.vehicle.pose import Pose2D
+
+pytest.importorskip("open3d", reason="pictures need open3d")
+
+
+def short_street() -> Scenario:
+    """Lamps along 60 m, with a slow camera."""
+    tree = street_scenario().model_dump(mode="json")
+    tree["route"] |= {"corners_m": [(0.0, 0.0), (35.0, 1.0), (70.0, 0.0)]}
+    tree["drive"] |= {"frame_rate_hz": 4.0, "standstill_s": 0.5}
+    tree["rows"] = [
+        {"kind": "lamp", "side": "both", "spacing_m": 11, "offset_m": 0.4},
+        {"kind": "parked_car", "side": "right", "spacing_m": 8, "offset_m": -1.15},
+    ]
+    tree |= {"houses": [], "side_streets": [], "backdrop": False}
+    return Scenario.model_validate(tree)
+
+
+@pytest.fixture(scope="module")
+def street() -> TaughtStreet:
+    return teach(3, scenario=short_street())
+
+
+class Blank(CameraEye):
+    """Sees a wall: only its times are of interest."""
+
+    def _picture(
+        self, number: int, now_s: float, rear: Pose2D, state: PlantState
+    ) -> tuple[Image, Image]:
+        blank: NDArray[np.uint8] = np.full((480, 768), 90, dtype=np.uint8)
+        return blank, blank
+
+
+@pytest.mark.parametrize(
+    ("processing_s", "dropped", "age_s"), [(0.0, 0, 0.0), (0.074, 4, 0.074), (0.1, 5, 0.1)]
+)
+def test_a_picture_that_comes_while_another_is_worked_on_is_dropped(
+    street: TaughtStreet, processing_s: float, dropped: int, age_s: float
+) -> None:
+    eye = Blank(street, street.studio(8.0, 1.0, study.CAMERA_S), processing_s)
+    arrived = []
+    for tick in range(500):
+        now = 0.001 * tick
+        if tick % 37 == 0 and tick < 8 * 37:
+            eye.record_odometry(OdometrySample(now, now, 8.0, 0.0))
+            eye.look(now, Pose2D(0.0, 0.0, 0.0), PlantState())
+        for scan in eye.scans(now):
+            arrived.append(scan.arrival_s - scan.stamp_s)
+            eye.localized(0.002)
+    assert eye.timing.dropped == dropped
+    assert len(arrived) == 8 - dropped
+    np.testing.assert_allclose(arrived, READOUT_S + age_s, atol=0.0011)
+
+
+def test_processing_is_measured_where_it_is_not_stated(street: TaughtStreet) -> None:
+    eye = Blank(street, street.studio(8.0, 1.0, study.CAMERA_S), None)
+    eye.localized(5.0)
+    eye.look(0.0, Pose2D(0.0, 0.0, 0.0), PlantState())
+    eye.look(1.0, Pose2D(0.0, 0.0, 0.0), PlantState())
+    assert eye.timing.dropped == 1
+    assert eye.timing.age_s[0] > 5.0 + READOUT_S
+    assert eye.timing.matching_s[0] > 0.0
+
+
+def test_parked_cars_are_exchanged_and_nothing_else(street: TaughtStreet) -> None:
+    world = make_world(short_street(), 3)
+    rng = np.random.default_rng(0)
+    one, two = _left(world, rng), _left(world, rng)
+    kinds = {thing.owner: thing.kind for thing in world.objects}
+    assert one != two
+    assert {kinds[owner] for owner in one | two} == {"parked_car"}
+
+
+def test_the_path_is_the_drivers_without_its_jitter() -> None:
+    rng = np.random.default_rng(1)
+    x = np.arange(0.0, 60.0, 0.2)
+    true = 3.0 * np.sin(x / 20.0)
+    poses = np.column_stack([x, true + rng.normal(0.0, 0.01, len(x)), 0.15 * np.cos(x / 20.0)])
+    # the car stands before it goes
+    path, start = _path_of(np.vstack([np.repeat(poses[:1], 40, axis=0), poses]))
+    off = [path.locate(a, b, 0.0).lateral_m for a, b in zip(x[60:240], true[60:240], strict=True)]
+    assert np.abs(off).max() < 0.02
+    assert start.yaw_rad == pytest.approx(0.15 * np.cos(start.x_m / 20.0), abs=0.02)
+
+
+def test_a_short_street_is_taught_mapped_and_driven(street: TaughtStreet) -> None:
+    true = np.array([[pole.x_m, pole.y_m] for pole in street.world.poles()]) + street.origin_m
+    assert len(street.course.pole_map) >= 4
+    away = np.hypot(*(street.course.pole_map.points_m[:, None] - true).transpose(2, 0, 1))
+    assert np.median(away.min(axis=1)) < 0.3
+    case = study.Case("few", "", "filter", 7, 0.05)
+    driven = study._drive(load_car("passat"), street, 6.0, case, 3.0)
+    timing = driven.timing
+    assert timing is not None
+    assert timing.dropped == 0
+    assert len(timing.age_s) >= 8
+    # the driver steers for six seconds; the true pose lies on the taught path
+    assert np.abs(driven.run.lateral_m).max() < 0.1
+    (_, picture, axes), *_ = timing.shown
+    assert picture.shape == (480, 768)
+    assert axes.shape[1:] == (2, 2)
+
+
+def test_takes_no_estimator() -> None:
+    with pytest.raises(ConfigError, match="takes no --estimator"):
+        study.full_loop_study(load_car("passat"), 1, lambda _n: None, ("clones",))
