@@ -106,8 +106,11 @@ class DetectorCheck:
         the poles' distance. Ranges are asked for at the start, stamps move it along a little.
         """
         met, fit = _MET_SD[0], self.fit
-        sd = np.inf if fit is None else np.hypot(fit.sd[0], _UNEXPLAINED[0])
-        unknown = 1.0 / np.sqrt(1.0 / met**2 + 1.0 / sd**2)
+        sd, value = np.inf, 0.0
+        if fit is not None:
+            sd = float(np.hypot(fit.sd[0], _UNEXPLAINED[0]))
+            value = fit.values[0] * met**2 / (met**2 + sd**2)
+        unknown = np.hypot(value, 1.0 / np.sqrt(1.0 / met**2 + 1.0 / sd**2))
         return self._moved_by(np.hypot(self._hint, [unknown, 0.0, 0.0]))
 
     def _moved_by(self, errors: Floats) -> tuple[float, float]:
