@@ -100,10 +100,11 @@ class DetectorCheck:
 
     @property
     def calibration_sd(self) -> tuple[float, float]:
-        """`hinted_sd`, and a turn that no pole has shown or excluded yet.
+        """`hinted_sd`, and the turn: what the fit says of it, and what it leaves open.
 
-        A turned detector shows on some way only; until then it moves the pose aside by as much of
-        the poles' distance. Ranges are asked for at the start, stamps move it along a little.
+        A turned detector shows on some way only, and one that turns slowly late; until then it
+        moves the pose aside by as much of the poles' distance. Ranges are asked for at the start,
+        stamps move it along a little.
         """
         met, fit = _MET_SD[0], self.fit
         sd, value = np.inf, 0.0
