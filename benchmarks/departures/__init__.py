@@ -1,0 +1,1 @@
+"""What each departure from Spangenberg (2016) is worth."""

@@ -1,0 +1,141 @@
+"""Drives, maps, scans and truth of the routes on which departures are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.departures.cases import Concern
+from benchmarks.evaluate.report_routes import short_world
+from benchmarks.harness import RECORDINGS
+from benchmarks.localize.victoria_park import DRIVE as VICTORIA_PARK
+from benchmarks.localize.victoria_park import NEAR_M, NEAR_TREES
+from polemap.build.build_map import build_map
+from polemap.drivelog.detections import Detections
+from polemap.drivelog.drive import Drive
+from polemap.drivelog.odometry_choice import with_odometry
+from polemap.drivelog.readers.registry import open_drive
+from polemap.map.io import read_map
+from polemap.map.pole_map import PoleMap
+from polemap.perception import scan_drive
+from polemap.settings import Settings
+from polemap.simulate.config import DetectorConfig, SimulateConfig
+from polemap.simulate.drive import simulate_drive
+from polemap.simulate.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+SIMULATED = ("park_loop", "avenue", "suburb")
+KITTI = RECORDINGS / "kitti_odometry"
+RATE_HZ = 11.0
+"""Of the simulated detector: the paper's system came to 13.5 Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A drive to localize.
+
+    Attributes:
+        drive: odometry and fixes.
+        pole_map, scans: as the case's settings make them.
+        truth: poses `(n, 3)` at stamps `(n,)`, NaN where they are not to be judged.
+    """
+
+    drive: Drive
+    pole_map: PoleMap
+    scans: tuple[Detections, ...]
+    truth: Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """Where a course comes from.
+
+    Attributes:
+        concerns: what can differ on it.
+        course: by seed and settings; the seed is the world's where it is simulated.
+        missing: the recording that it needs and that is not there.
+    """
+
+    concerns: tuple[Concern, ...]
+    course: Callable[[int, Settings, Path], Course]
+    missing: Path | None = None
+
+
+def _simulated(route: str, seed: int, settings: Settings, folder: Path) -> Course:
+    """Two laps past a detector without pictures; the second in the map of the first."""
+    place = folder / f"{route}_{seed}"
+    if not place.exists():
+        config = SimulateConfig(detector=DetectorConfig(rate_hz=RATE_HZ))
+        # what the drive folder lacks is written beside it, last
+        simulate_drive(_scenario(route), place, 2, seed, config, objects=True, images=False,
+                       scans=True)  # fmt: skip
+    drive = open_drive(place)
+    first, second = (drive.lap(lap.name) for lap in drive.laps)
+    scans = scan_drive(first, settings.polemap)
+    pole_map = build_map([first], settings.polemap, lambda _: scans).pole_map
+    table = np.genfromtxt(place / "truth.csv", delimiter=",", names=True)
+    columns = [table["east_m"], table["north_m"], np.unwrap(table["yaw_rad"])]
+
+    def truth(stamps_s: Floats) -> Floats:
+        return np.column_stack([np.interp(stamps_s, table["stamp_s"], c) for c in columns])
+
+    return Course(second, pole_map, tuple(scan_drive(second, settings.polemap)), truth)
+
+
+@cache
+def _scenario(route: str) -> Scenario:
+    return short_world(route)
+
+
+def _victoria_park(seed: int, settings: Settings, folder: Path) -> Course:
+    """Lap `test` in the map of lap `map`, judged where three trees stand near."""
+    drive = open_drive(VICTORIA_PARK, seed=seed)
+    mapped, driven = drive.lap("map"), drive.lap("test")
+    scans = scan_drive(mapped, settings.polemap)
+    pole_map = build_map([mapped], settings.polemap, lambda _: scans).pole_map
+    reference = driven.reference
+    assert reference is not None
+
+    def truth(stamps_s: Floats) -> Floats:
+        poses = reference.at(stamps_s)
+        places = np.nan_to_num(poses[:, :2])
+        trees = pole_map.tree.query_ball_point(places, NEAR_M, return_length=True)
+        poses[trees < NEAR_TREES] = np.nan
+        return poses
+
+    return Course(driven, pole_map, tuple(scan_drive(driven, settings.polemap)), truth)
+
+
+@cache
+def _kitti_drive() -> Drive:
+    return with_odometry(open_drive(KITTI / "sequences" / "03"), "camera")
+
+
+def _kitti_03(seed: int, settings: Settings, folder: Path) -> Course:
+    """Real pictures in the LiDAR map, with the odometry of the cameras."""
+    drive = replace(_kitti_drive(), gnss=open_drive(KITTI / "sequences" / "03", seed=seed).gnss)
+    pole_map = read_map(KITTI / "poles" / "03.csv", drive.frame)
+    scans = scan_drive(drive, settings.polemap, stereo=settings.stereo)
+    assert drive.reference is not None
+    return Course(drive, pole_map, tuple(scans), drive.reference.at)
+
+
+_FILTERS: tuple[Concern, ...] = ("tracks", "particles", "output")
+ROUTES: dict[str, Route] = {
+    **{
+        name: Route(_FILTERS, lambda seed, settings, folder, name=name: _simulated(
+            name, seed, settings, folder)) for name in SIMULATED
+    },
+    "victoria_park": Route(
+        _FILTERS, _victoria_park, None if VICTORIA_PARK.exists() else VICTORIA_PARK
+    ),
+    "kitti_03": Route(
+        ("eye", *_FILTERS), _kitti_03, None if KITTI.exists() else KITTI
+    ),
+}  # fmt: skip
