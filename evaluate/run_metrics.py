@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
 from polemap.evaluation.errors import accuracy, first_on_poles_s
+from polemap.localize.particle_filter.health import RestartCause
 from polemap.localize.pose_queue import PoseUpdate
 from polemap.localize.replay import Run
 from polemap.vehicle.pose import rotate_back
@@ -34,6 +35,10 @@ def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
         "notes": list(drive.notes),
         "duration_s": float(drive.duration_s),
         "reinitializations": counts.pop("pf_reinitializations", 0),
+        "reinitializations_by_cause": {
+            cause: counts.pop(f"pf_reinitializations_{cause}", 0)
+            for cause in get_args(RestartCause)
+        },
         "exploration_events": counts.pop("pf_exploration_events", 0),
         "gate_rejections": counts.pop("gate_rejections", 0),
         "late_dropped": counts.pop("late_dropped", 0),

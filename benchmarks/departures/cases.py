@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from polemap.set_option import apply_set_option
 from polemap.settings import Settings, read_tree
 
 PRINTED = Path("papers/s16.yaml")
@@ -45,6 +46,7 @@ DEPARTURES = (
     *_of(
         "particles",
         mean_or_mode="estimate",
+        weight_of_position="beta_p",
         lasting_errors_stated="covariance",
         speed_noise="alpha1_speed_mps alpha1_relative",
         drift_aside="alpha5_slip_m_per_sqrt_m",
@@ -62,7 +64,6 @@ DEPARTURES = (
         fixes_weigh="gnss.particles",
         restart_by_evidence="recovery.restart",
         constellations="recovery.places",
-        exploration="recovery.exploration",
     ),
     *_of(
         "output",
@@ -77,12 +78,15 @@ DEPARTURES = (
 )  # fmt: skip
 
 OURS, FILTERS, ALL = "ours", "filters as printed", "as printed"
+CLASSIC = "as printed, classic exploration"
+_CLASSIC_KEY = "localize.recovery.exploration=classic"
 TOGETHER: dict[str, tuple[Concern, ...]] = {
     "eye as printed": ("eye", "tracks"),
     "particle filter as printed": ("particles",),
     "output filter as printed": ("output",),
     FILTERS: ("particles", "output"),
     ALL: ("eye", "tracks", "particles", "output"),
+    CLASSIC: ("eye", "tracks", "particles", "output"),
 }
 """Cases in which all departures of some concerns are taken back."""
 
@@ -91,7 +95,7 @@ def case_names(concerns: Collection[Concern]) -> list[str]:
     """Cases that can differ where only these concerns do; the ends first, then one at a time."""
     whole = [n for n, of in TOGETHER.items() if set(of) & set(concerns)]
     if "eye" not in concerns and "tracks" not in concerns:
-        whole.remove(ALL)
+        whole = [n for n in whole if n not in (ALL, CLASSIC)]
     if "eye" not in concerns and "eye as printed" in whole:
         whole.remove("eye as printed")
     return [OURS, *reversed(whole), *(d.name for d in DEPARTURES if d.concern in concerns)]
@@ -125,6 +129,8 @@ def settings_of(case: str) -> Settings:
         for section in sections:
             source, target = source[section], target.setdefault(section, {})
         target[leaf] = source[leaf]
+    if case == CLASSIC:
+        apply_set_option(tree, _CLASSIC_KEY)
     return Settings.model_validate(tree)
 
 

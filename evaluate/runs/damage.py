@@ -37,6 +37,8 @@ def check_metrics(path: Path, metrics: Mapping[str, Any]) -> None:
         raise InputError(f"{path}: a count below zero; run 'polemap localize' again")
     for name, keys in (("pf", _OF_ERRORS), ("kf", _OF_ERRORS), ("verdict", _OF_VERDICT)):
         _check_numbers(path, f"{name}.", _object(path, name, metrics), keys)
+    causes = _object(path, "reinitializations_by_cause", metrics)
+    _check_numbers(path, "reinitializations_by_cause.", causes, causes)
     for stage, figures in _object(path, "timing_ms", metrics).items():
         if isinstance(figures, Mapping):
             _check_numbers(path, f"timing_ms.{stage}.", figures, figures)

@@ -8,6 +8,9 @@ from polemap.localize.config import RecoveryConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 
 Verdict = Literal["confirmed", "contradicted", "open"]
+RestartCause = Literal["spread", "poles", "fixes", "place"]
+"""Why the filter starts anew: its particles spread too wide, hardly a pole fits, every fix lies far
+away, or the poles of the last metres fit clearly better at another place."""
 
 # a single pole that fits, or does not, says little
 _LEAST_POSSIBLE = 1.5
@@ -60,6 +63,11 @@ class LostDetector:
         """
         limit_s = self._config.lost_after_s
         return self.scattered or self._bad_s >= limit_s or self.astray
+
+    @property
+    def cause(self) -> RestartCause:
+        """Of being lost: the widest of its reasons."""
+        return "spread" if self.scattered else "fixes" if self.astray else "poles"
 
     @property
     def far(self) -> bool:

@@ -22,7 +22,12 @@ from polemap.localize.particle_filter.exploration import (
     normalized_quality,
     plain_quality,
 )
-from polemap.localize.particle_filter.health import LostDetector, StartProof, Verdict
+from polemap.localize.particle_filter.health import (
+    LostDetector,
+    RestartCause,
+    StartProof,
+    Verdict,
+)
 from polemap.localize.particle_filter.particles import ParticleSet
 from polemap.localize.particle_filter.place_search import PlaceSearch
 from polemap.localize.particle_filter.pole_weigher import Match, PoleWeigher
@@ -64,7 +69,8 @@ class Recovery:
     """Watches the particle filter and gives its particles other places.
 
     Args:
-        counts: `reinitializations`, `start_corrections` and `exploration_events` are counted here.
+        counts: `reinitializations`, all and by cause, `start_corrections` and
+            `exploration_events` are counted here.
 
     Attributes:
         search: where the car may be.
@@ -131,12 +137,13 @@ class Recovery:
         lost = self.lost.scattered if spread_only else self.lost.lost
         if lost and self.search.rested(scan.stamp_s):
             # where poles just do not fit, the map may have changed: the old particles keep a part
+            cause = self.lost.cause
             elsewhere = self.lost.scattered or self.lost.astray
             if not self._restart(
                 particles, 1.0 if elsewhere else _RESTART_SHARE, scan, odometry_pose
             ):
                 return None
-            self.counts["reinitializations"] += 1
+            self._count_restart(cause)
             return "reinitialized"
         wanted = 0 if self._classic else round(self.averages.share * total)
         if wanted == 0 or len(scan) < 2 or not self.search.rested(scan.stamp_s):
@@ -175,10 +182,14 @@ class Recovery:
         if not self._restart(particles, _RESTART_SHARE, scan, odometry_pose):
             return None
         if self.proof.was_proven:
-            self.counts["reinitializations"] += 1
+            self._count_restart("place")
             return "reinitialized"
         self.counts["start_corrections"] += 1
         return "initialized"
+
+    def _count_restart(self, cause: RestartCause) -> None:
+        self.counts["reinitializations"] += 1
+        self.counts[f"reinitializations_{cause}"] += 1
 
     def _restart(
         self, particles: ParticleSet, share: float, scan: Detections, odometry_pose: Floats

@@ -41,6 +41,7 @@ def _values(one: SweptRoute, swept: SweptValue) -> dict[str, Any]:
         "kf_m": swept.kf.sd_m,
         "kf_spread_m": swept.kf.spread_m,
         "reinitializations": reinitializations,
+        "reinitializations_by_cause": swept.causes(),
         "reinitializations_mean": float(np.mean(reinitializations)),
         "exploration_events_mean": float(np.mean(swept.total("exploration_events"))),
         "kf_lateral_rmse_m": _accuracy(swept, "lateral_rmse_m")[0],
@@ -66,6 +67,7 @@ def _table(name: str, group: Sequence[SweptRoute]) -> Table:
                     with_spread(*_accuracy(swept, "lateral_rmse_m")),
                     number(float(np.mean(counts)), 2),
                     str(max(counts)),
+                    ", ".join(f"{n} {cause}" for cause, n in swept.causes().items() if n) or "–",
                 )
             )
     return Table(
@@ -80,6 +82,7 @@ def _table(name: str, group: Sequence[SweptRoute]) -> Table:
             "KF lateral RMSE [m]",
             "Re-initializations per run",
             "most",
+            "causes",
         ),
         tuple(rows),
         "Mean ± standard deviation over the runs; same laps, stations and exclusions as above. The "

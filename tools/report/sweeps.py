@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +46,13 @@ class SweptValue:
     def total(self, key: str) -> list[int]:
         """A count of metrics.json per run, over the recordings."""
         return [sum(int(run.metrics.get(key, 0)) for run in group) for group in self.runs]
+
+    def causes(self) -> dict[str, int]:
+        """Re-initializations by cause over all runs; empty where the runs do not say."""
+        total: Counter[str] = Counter()
+        for run in (run for group in self.runs for run in group):
+            total.update(run.metrics.get("reinitializations_by_cause", {}))
+        return dict(total)
 
 
 @dataclass(frozen=True, slots=True)
