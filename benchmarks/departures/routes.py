@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from benchmarks.departures.cases import Concern
 from benchmarks.evaluate.report_routes import short_world
@@ -105,7 +106,7 @@ def _victoria_park(seed: int, settings: Settings, folder: Path) -> Course:
     def truth(stamps_s: Floats) -> Floats:
         poses = reference.at(stamps_s)
         places = np.nan_to_num(poses[:, :2])
-        trees = pole_map.tree.query_ball_point(places, NEAR_M, return_length=True)
+        trees = KDTree(pole_map.points_m).query_ball_point(places, NEAR_M, return_length=True)
         poses[trees < NEAR_TREES] = np.nan
         return poses
 
@@ -128,10 +129,7 @@ def _kitti_03(seed: int, settings: Settings, folder: Path) -> Course:
 
 _FILTERS: tuple[Concern, ...] = ("tracks", "particles", "output")
 ROUTES: dict[str, Route] = {
-    **{
-        name: Route(_FILTERS, lambda seed, settings, folder, name=name: _simulated(
-            name, seed, settings, folder)) for name in SIMULATED
-    },
+    **{name: Route(_FILTERS, partial(_simulated, name)) for name in SIMULATED},
     "victoria_park": Route(
         _FILTERS, _victoria_park, None if VICTORIA_PARK.exists() else VICTORIA_PARK
     ),
