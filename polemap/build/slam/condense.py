@@ -174,9 +174,15 @@ def condense(
         fix_m=route.fix_m,
         hdop=route.hdop,
         antenna_m=route.antenna_m,
-        residual_m=float(np.nanmedian([*(section.residual_m for section in sections), np.inf])),
+        residual_m=median_m([section.residual_m for section in sections]),
         observed=_observed(name, drive, scans, looked, path, mapping, frame),
     )
+
+
+def median_m(values: Sequence[float]) -> float:
+    """Median of those that are known, NaN where none is."""
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.median(known)) if known else float("nan")
 
 
 def _solve(

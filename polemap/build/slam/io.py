@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.city.io import observation_arrays, observations_of, write_arrays
@@ -30,7 +31,8 @@ _STEPS = ("motion", "jacobian", "covariance")
 def write_condensed(part: Condensed, key: str, path: Path) -> None:
     """Write a condensed drive; `key` says from what it was computed."""
     head, arrays = observation_arrays(part.observed)
-    head |= {"version": _VERSION, "key": key, "name": part.name, "residual_m": part.residual_m}
+    head |= {"version": _VERSION, "key": key, "name": part.name}
+    arrays["residual_m"] = np.array(part.residual_m)
     arrays |= {f"own.{name}": getattr(part, name) for name in _OWN}
     arrays |= {f"way.{name}": getattr(part.path, name) for name in _WAY}
     arrays |= {f"steps.{name}": getattr(part.steps, name) for name in _STEPS}
@@ -58,7 +60,7 @@ def _condensed(file: Mapping[str, NDArray[Any]], key: str) -> Condensed | None:
         frame=EarthFrame.from_dict(head["frame"]),
         path=Way(*(file[f"way.{name}"] for name in _WAY)),
         steps=Increments(*(file[f"steps.{name}"] for name in _STEPS)),
-        residual_m=float(head["residual_m"]),
+        residual_m=float(file["residual_m"]),
         observed=observations_of(head, file),
         **{name: file[f"own.{name}"] for name in _OWN},
     )

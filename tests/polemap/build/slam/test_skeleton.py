@@ -110,6 +110,7 @@ def test_a_checkpoint_gives_back_the_same_and_nothing_of_another_key(
         again.observed.landmarks.points_m, parts[0].observed.landmarks.points_m
     )
     assert again.residual_m == parts[0].residual_m
+    assert 0.0 < again.residual_m < 0.5
     assert read_condensed(path, "1" * 32) is None
     path.write_bytes(path.read_bytes()[:-400])
     assert read_condensed(path, KEY) is None
