@@ -49,13 +49,19 @@ class Graph:
     """
 
     def __init__(
-        self, problem: Problem, sds: tuple[Floats, float], link_scale: float = LINK_SCALE
+        self,
+        problem: Problem,
+        sds: tuple[Floats, float],
+        link_scale: float = LINK_SCALE,
+        bias_m: Floats | None = None,
     ) -> None:
         """`sds` are those of the calibration `(6,)`, and of its walk in these.
 
         `link_scale`, in their sd, is where links begin to lose weight: far out at first, so that
-        they pull at all (graduated non-convexity).
+        they pull at all (graduated non-convexity). `bias_m` `(d, 2)` are the errors of fixes at
+        which it begins, by default zero.
         """
+        self._bias_m = np.zeros((len(problem.bias_sd_m), 2)) if bias_m is None else bias_m
         self._link_scale = link_scale
         self._known: Any = None
         self._gtsam = need("gtsam")
@@ -82,7 +88,7 @@ class Graph:
         for row, vector in enumerate(p.calibration):
             values.insert(self._key("c", row), vector)
         for row in range(len(p.bias_sd_m)):
-            values.insert(self._key("b", row), np.zeros(2))
+            values.insert(self._key("b", row), self._bias_m[row])
 
     def _calibration(self, sd: Floats, walk: float) -> None:
         g, graph, p = self._gtsam, self._graph, self._problem

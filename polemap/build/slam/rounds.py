@@ -63,7 +63,7 @@ class Builder:
         """With `known`, the drives lie in a map that is there already, and are held by it."""
         self._scans = scans
         self._mapping = mapping
-        self._config = config
+        self.config = config
         self._frame = frame
         self._known = known
 
@@ -102,7 +102,7 @@ class Builder:
         """The noise that the residuals of a state show."""
         fix_s = np.concatenate([route.fix_s for route in state.routes])
         hdop = np.concatenate([route.hdop for route in state.routes])
-        return measure_noise(state.problem, state.solution, state.noise, fix_s, hdop, self._config)
+        return measure_noise(state.problem, state.solution, state.noise, fix_s, hdop, self.config)
 
     def submaps(self, state: State) -> list[Submap]:
         """The local maps that loops are looked for with."""
@@ -122,9 +122,9 @@ class Builder:
     ) -> Found:
         """Loops among local maps at `poses` `(n, 3)`, which are the keyframes `anchors` `(n,)`."""
         covariance = graph.covariance(anchors, np.empty(0, dtype=np.int64))
-        found = find_loops(submaps, poses, covariance, self._config, known)
+        found = find_loops(submaps, poses, covariance, self.config, known)
         if not found.loops and found.unreached:
-            return recall_loops(submaps, poses, covariance, self._config, known)
+            return recall_loops(submaps, poses, covariance, self.config, known)
         return found
 
     def calibrate(self, routes: Sequence[Route], noise: Noise) -> list[Route]:

@@ -154,7 +154,7 @@ class CondensedBuilder(Builder):
             covariance = graph.covariance(anchors[rows], np.empty(0, dtype=np.int64))
             own = (cell[rows] == place).all(axis=1)
             found = find_loops(
-                [submaps[row] for row in rows.tolist()], poses[rows], covariance, self._config,
+                [submaps[row] for row in rows.tolist()], poses[rows], covariance, self.config,
                 known, numbers=rows, own=own,
             )  # fmt: skip
             loops += found.loops

@@ -22,7 +22,7 @@ from polemap.build.slam.initial import FIXES_MIN, lay_on_fixes
 from polemap.build.slam.known import KnownPoles, lay_on_localized
 from polemap.build.slam.motion import MotionNoise
 from polemap.build.slam.noise import stated_noise
-from polemap.build.slam.precision import anchor_keyframes, pose_precision
+from polemap.build.slam.precision import anchor_keyframes, graph_to_state, pose_precision
 from polemap.build.slam.report import SlamSummary
 from polemap.build.slam.rounds import Builder, Closed, State, close_loops, settle
 from polemap.build.slam.route import Route, as_reference, check_route, open_route
@@ -289,6 +289,8 @@ def result_of(
     starts = pose_starts(state.routes)
     submaps = np.array([submap.anchor for submap in builder.submaps(state)], dtype=np.int64)
     anchors = anchor_keyframes(starts, submaps, every)
+    stated = graph_to_state(state.problem, state.solution, state.noise, builder.config, every // 2)
+    state = replace(state, graph=stated)
     precision = pose_precision(state.graph, state.solution, anchors, starts)
     references, trajectories = [], []
     for number, (route, looked) in enumerate(zip(state.routes, stamps_s, strict=True)):
