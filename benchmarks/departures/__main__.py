@@ -4,10 +4,11 @@
         [--seeds 2] [--first 0] [--cases "slip" "as printed" ...] [--table]
 
 Three simulated routes (scans of a detector with stated errors, 11 Hz; a seed is a world and the
-filter's), Victoria Park and KITTI 03 (a seed is the filter's and the simulated GNSS's). Rows that
-the file has already are not made again; `--table` prints what it holds. A run that ends in an error
-is a row that says so. Not timed, so `python -m benchmarks` leaves it out; the processor time an
-update is that of one run each.
+filter's), drives of points with faults in them (each seed another kind; `silent` is how long the
+pose was wrong and called healthy, as `benchmarks.campaign` has it), Victoria Park and KITTI 03 (a
+seed is the filter's and the simulated GNSS's). Rows that the file has already are not made again;
+`--table` prints what it holds. A run that ends in an error is a row that says so. Not timed, so
+`python -m benchmarks` leaves it out; the processor time an update is that of one run each.
 """
 
 from __future__ import annotations

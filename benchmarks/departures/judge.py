@@ -10,6 +10,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
+from benchmarks.campaign.judge import judge
 from benchmarks.departures.routes import Course
 from polemap.errors import PolemapError
 from polemap.evaluation.errors import nees, pose_errors
@@ -56,6 +57,9 @@ def run_case(course: Course, config: LocalizeConfig, seed: int) -> dict[str, Any
     if not len(run.pf) or not len(run.kf):
         return {"failed": "no pose"}
     row: dict[str, Any] = {"counts": _counts(run), "cpu_ms": 1e3 * spent_s / len(course.scans)}
+    if course.faulty is not None:
+        verdicts = judge(run, course.faulty)
+        row["silent_s"] = {name: verdict.silent_s for name, verdict in verdicts.items()}
     for name, track in (("pf", run.pf), ("kf", run.kf)):
         row[name] = None if (found := figures(track, course)) is None else asdict(found)
     if row["pf"] is None or row["kf"] is None:

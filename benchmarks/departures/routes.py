@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from benchmarks.campaign.detector_faults import Faulty, Kind
+from benchmarks.campaign.drives import STREET, case_of
+from benchmarks.campaign.fault_kinds import KINDS
 from benchmarks.departures.cases import Concern
 from benchmarks.evaluate.report_routes import short_world
 from benchmarks.harness import RECORDINGS
@@ -27,6 +30,7 @@ from polemap.perception import scan_drive
 from polemap.settings import Settings
 from polemap.simulate.config import DetectorConfig, SimulateConfig
 from polemap.simulate.drive import simulate_drive
+from polemap.simulate.points.drive import simulate_points
 from polemap.simulate.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -45,12 +49,14 @@ class Course:
         drive: odometry and fixes.
         pole_map, scans: as the case's settings make them.
         truth: poses `(n, 3)` at stamps `(n,)`, NaN where they are not to be judged.
+        faulty: the fault that is in it, if any.
     """
 
     drive: Drive
     pole_map: PoleMap
     scans: tuple[Detections, ...]
     truth: Callable[[Floats], Floats]
+    faulty: Faulty | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +119,30 @@ def _victoria_park(seed: int, settings: Settings, folder: Path) -> Course:
     return Course(driven, pole_map, tuple(scan_drive(driven, settings.polemap)), truth)
 
 
+def _kidnapped(seed: int) -> Faulty:
+    """A car that is put 50 m ahead, unknown to its odometry."""
+    scenario = replace(STREET, kidnap_s=18.0)
+    return Faulty(case_of(simulate_points(scenario, np.random.default_rng([seed, 77]))), 18.0)
+
+
+_NAMED = (
+    "speed x 1.8 for 5 s", "speed 0 for 2 s, no poles", "silent for 5 s",
+    "yaw rate other sign for 5 s", "no poles for 20 s", "fixes jump 30 m for 10 s",
+    "fixes 60 m off from the start", "map 40 % out of date", "map doubled, 1 m off",
+)  # fmt: skip
+FAULTS: tuple[Kind, ...] = (_kidnapped, *(KINDS[name] for name in _NAMED))
+# drives that the campaign does not use
+_FIRST_DRIVE = 5000
+
+
+def _faults(seed: int, settings: Settings, folder: Path) -> Course:
+    """A drive of points with a fault in it: ten seeds have one of each kind."""
+    faulty = FAULTS[seed % len(FAULTS)](_FIRST_DRIVE + seed)
+    drive = faulty.case.drive
+    assert drive.reference is not None
+    return Course(drive, faulty.case.pole_map, faulty.case.scans, drive.reference.at, faulty)
+
+
 @cache
 def _kitti_drive() -> Drive:
     return with_odometry(open_drive(KITTI / "sequences" / "03"), "camera")
@@ -130,6 +160,7 @@ def _kitti_03(seed: int, settings: Settings, folder: Path) -> Course:
 _FILTERS: tuple[Concern, ...] = ("tracks", "particles", "output")
 ROUTES: dict[str, Route] = {
     **{name: Route(_FILTERS, partial(_simulated, name)) for name in SIMULATED},
+    "faults": Route(("particles", "output"), _faults),
     "victoria_park": Route(
         _FILTERS, _victoria_park, None if VICTORIA_PARK.exists() else VICTORIA_PARK
     ),

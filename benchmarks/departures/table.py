@@ -44,12 +44,18 @@ def line(case: str, rows: list[Row], ours: dict[int, Row]) -> str:
         if name == "pf":
             cells.append(f"{_mean(whole, name, 'yaw_deg'):.2f}")
         cells.append(f"{_mean(whole, name, 'nees'):.2f}")
-        cells.append(f"{100.0 * _mean(whole, name, 'lost_share'):.1f} %")
+        cells.append(f"{100.0 * _mean(whole, name, 'lost_share'):.1f} %{_silent(whole, name)}")
         if name == "pf":
             again = [row["counts"].get("pf_reinitializations", 0) for row in whole]
             cells.append(f"{np.mean(again):.1f}")
     cells.append(f"{np.mean([row['cpu_ms'] for row in whole]):.1f}")
     return f"| {' | '.join(cells)} |"
+
+
+def _silent(rows: list[Row], name: str) -> str:
+    """Seconds a drive in which it was wrong and called healthy, where faults are in the drives."""
+    seconds = [row["silent_s"][name] for row in rows if "silent_s" in row]
+    return f", {np.mean(seconds):.1f} s silent" if seconds else ""
 
 
 def _mean(rows: list[Row], name: str, key: str) -> float:
