@@ -42,8 +42,8 @@ _SETTLED_SD, _SETTLED_M = 1.0, 20.0
 _CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
 # a hint that is gone is forgotten by this factor at every fit
 _HINT_KEPT = 0.7
-# of poles, before some have been matched
-_REACH_M = 15.0
+# sd to which a mounting's yaw is known in a car, rad; distance of poles before some were matched
+_MOUNTED_RAD, _REACH_M = 0.007, 15.0
 # sd of the errors that are met, for what is likely of one that is found
 _MET_SD = np.array([2.0, 2.0, 1.0]) * TOLERANCE
 # after a contradiction the calibration is acquitted when all looks since then say four times in a
@@ -100,19 +100,17 @@ class DetectorCheck:
 
     @property
     def calibration_sd(self) -> tuple[float, float]:
-        """`hinted_sd`, and the turn: what the fit says of it, and what it leaves open.
+        """`hinted_sd`, and by how much the turn may exceed what is tolerated.
 
         A turned detector shows on some way only, and one that turns slowly late; until then it
         moves the pose aside by as much of the poles' distance. Ranges are asked for at the start,
         stamps move it along a little.
         """
-        met, fit = _MET_SD[0], self.fit
-        sd, value = np.inf, 0.0
-        if fit is not None:
-            sd = float(np.hypot(fit.sd[0], _UNEXPLAINED[0]))
-            value = fit.values[0] * met**2 / (met**2 + sd**2)
-        unknown = np.hypot(value, 1.0 / np.sqrt(1.0 / met**2 + 1.0 / sd**2))
-        return self._moved_by(np.hypot(self._hint, [unknown, 0.0, 0.0]))
+        excess = _MOUNTED_RAD
+        if self.fit is not None:
+            excess = abs(self.fit.values[0]) + self.fit.sd[0] - TOLERANCE[0]
+        possible = np.array([np.clip(excess, 0.0, _MOUNTED_RAD), 0.0, 0.0])
+        return self._moved_by(np.hypot(self._hint, possible))
 
     def _moved_by(self, errors: Floats) -> tuple[float, float]:
         turn, scale, seconds = errors
