@@ -165,7 +165,10 @@ def variants(disparities: int = 128) -> dict[str, Variant]:
         {"preprocessing": "none", "block_size_px": 3, "p1": 8, "p2": 32},
         {"preprocessing": "clahe", "block_size_px": 3, "p1": 24, "p2": 96},
         {"preprocessing": "clahe", "block_size_px": 3, "p1": 8, "p2": 32},
+        {"preprocessing": "rank7x7", "block_size_px": 5, "p1": 16, "p2": 64},
         {"preprocessing": "rank7x7", "block_size_px": 3, "p1": 24, "p2": 96},
+        {"preprocessing": "partial_ranks", "block_size_px": 3, "p1": 8, "p2": 32},
+        {"preprocessing": "partial_ranks", "block_size_px": 5, "p1": 32, "p2": 128},
         {"preprocessing": "partial_ranks", "block_size_px": 3, "p1": 24, "p2": 96},
         {"preprocessing": "census_bytes", "block_size_px": 3, "p1": 24, "p2": 96},
     ]
