@@ -37,6 +37,9 @@ from polemap.vehicle.pose import rotate
 
 # an offset beyond this may be a round of a drive in laps
 _ROUND_S, _CLEARLY_NEARER = 5.0, 2.0
+_BY_VALUE = ("pole_scale", "pole_turn_scale", "pole_mounting")
+# over less than this the places of fixes do not tell one clock from another
+_PLACES_TELL_S = 1.0
 
 
 def check_drive(drive: Drive) -> list[Finding]:
@@ -92,15 +95,20 @@ def _motion(drive: Drive) -> list[Finding]:
             if any(f.kind == "reference_axes" for f in yaw_found + found):
                 trusted = yawed
     trusted = _moving(trusted)
+    posed_well = trusted is yawed and trusted is not None
     frozen = stretches.frozen_speed(drive, trusted if trusted is not None else gnss)
     if frozen:
         return found + frozen
+    stuck, moving = stretches.frozen_fixes(drive, trusted if posed_well else odometry)
+    found += stuck
+    if stuck:
+        # what repeats is neither way nor turn
+        gnss = _moving(of_gnss(moving, names.gnss))
     offset = time.find_offset(odometry, trusted, gnss, lambda a, b: poles.contradicted(drive, a, b))
     if offset is not None and not _places_contradict(drive, offset):
         found.append(offset.finding())
     else:
         offset = None
-    posed_well = trusted is yawed and trusted is not None
     odometry, trusted, gnss = (time.shifted(track, offset) for track in (odometry, trusted, gnss))
     if posed_well and odometry is not None and trusted is not None and not found:
         found += reference.across_findings(odometry, trusted)
@@ -110,7 +118,6 @@ def _motion(drive: Drive) -> list[Finding]:
     if not any(f.stream == names.odometry and f.severity == "error" for f in found):
         found += absolute.odometry_findings(drive)
     teller = trusted if posed_well and not mirrored else odometry
-    found += stretches.frozen_fixes(drive, teller)
     if teller is None:
         return found
     quiet = not any(f.stream in (names.odometry, names.reference) for f in found)
@@ -121,7 +128,16 @@ def _motion(drive: Drive) -> list[Finding]:
         if posed_well and odometry is not None:
             found += accuracy.pose_findings(drive, odometry)
     agreed = odometry is not None and (trusted is not None or gnss is not None)
-    of_poles = poles.motion_findings(drive, teller, confirmed=agreed)
+    of_poles = poles.repeated_findings(drive, teller)
+    of_poles = of_poles or poles.motion_findings(drive, teller, confirmed=agreed)
+    if of_poles and of_poles[0].kind in _BY_VALUE:
+        # the fit of all these at once tells their values
+        fitted = detector_place.place_findings(drive, teller, surveyed=posed_well) if quiet else []
+        kind = of_poles[0].kind
+        if kind == "pole_mounting":
+            of_poles = fitted
+        elif scaled := [f for f in fitted if f.kind != "pole_mounting"]:
+            of_poles = scaled
     if quiet and not of_poles:
         of_poles = detector_place.place_findings(drive, teller, surveyed=posed_well)
         of_poles = of_poles or accuracy.variance_findings(drive, teller)
@@ -134,6 +150,8 @@ def _places_contradict(drive: Drive, offset: time.Offset) -> bool:
     On laps, a round earlier fits the motion as well.
     """
     gnss, posed = drive.gnss, drive.reference
+    if abs(offset.late_s) < _PLACES_TELL_S:
+        return False
     late_s = {drive.names.gnss: -offset.late_s, drive.names.reference: offset.late_s}.get(
         offset.late.name
     )

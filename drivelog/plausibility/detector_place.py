@@ -32,15 +32,17 @@ _RATE_MAX_RADPS, _LATERAL_MAX_MPS2 = 1.5, 10.0
 _GATES_M = (2.0, 2.0, 1.5, 1.0, 0.7, 0.7)
 # x, y of the frame (m), its yaw (rad), scale of the way, slip (rad per m/s2); log of y's scale
 _PRIOR_SD = np.array([3.0, 3.0, 0.3, 0.2, 0.004])
-_ACROSS_SD = 1.0
+_ACROSS_SD, _TURN_SD, _NONE = 1.0, 0.5, 1e-6
 _ACROSS_STARTS = (0.0, np.log(2.0), -np.log(2.0))
 # clean drives against the reference: within 0.25 m and 0.5 degrees, but for what their sd allows;
 # against an odometry from encoder and steering, within 1.5 m and 1.9 degrees
-_DOUBT = {True: (0.5, 0.5, np.radians(2.0)), False: (2.0, 2.0, np.radians(5.0))}
+_DOUBT = {True: (0.5, 0.5, np.radians(2.0)), False: (2.0, 2.0, np.radians(3.5))}
 # clean drives: within 0.01 against the reference, 0.04 against an odometry; y within 0.05
 _WAY = {True: 0.04, False: 0.07}
 _ACROSS, _ACROSS_WRONG = 0.12, 0.3
+_TURN, _TURN_WRONG = 0.15, 0.4
 _SDS = 5.0
+_STEP = 1e-5
 _WRONG_M = 5.0
 
 
@@ -52,6 +54,7 @@ class DetectorPlace:
         values, sds: `(3,)` x, y (m) and yaw (rad) in the vehicle frame.
         way, way_sd: logarithm of how much longer the way of the poles is than that of the motion.
         across, across_sd: logarithm of the scale of y over that of x; 0 where it is not sought.
+        turn, turn_sd: logarithm of the turn of the poles over that of the motion; likewise.
         matches: poles that were met again.
     """
 
@@ -61,6 +64,8 @@ class DetectorPlace:
     way_sd: float
     across: float
     across_sd: float
+    turn: float
+    turn_sd: float
     matches: int
 
 
@@ -71,11 +76,15 @@ def place_findings(drive: Drive, motion: Odometer, *, surveyed: bool) -> list[Fi
         surveyed: the motion is a reference's, not an odometry's.
     """
     pairs = find_pairs(drive, motion)
-    # with a scale of y nothing else is as certain, so that it is believed only where it is large
-    starts = (find_place(pairs, motion, across=start) for start in _ACROSS_STARTS)
+    # with more unknowns nothing is as certain, so that they are believed only where they are large
+    starts = (
+        find_place(pairs, motion, across=start, seek_turn=not surveyed) for start in _ACROSS_STARTS
+    )
     scaled = max(filter(None, starts), key=lambda place: place.matches, default=None)
     if scaled is not None and abs(scaled.across) > max(_ACROSS, _SDS * scaled.across_sd):
         return [_across_finding(drive, motion, scaled)]
+    if scaled is not None and abs(scaled.turn) > max(_TURN, _SDS * scaled.turn_sd):
+        return [_turn_finding(drive, motion, scaled)]
     place = find_place(pairs, motion)
     if place is None:
         return []
@@ -121,6 +130,15 @@ def _across_finding(drive: Drive, motion: Odometer, place: DetectorPlace) -> Fin
     )  # fmt: skip
 
 
+def _turn_finding(drive: Drive, motion: Odometer, place: DetectorPlace) -> Finding:
+    """A yaw rate that is too large or too small for how poles move in bends."""
+    return Finding(
+        "yaw_rate_scale", "error" if abs(place.turn) > _TURN_WRONG else "warning", motion.name,
+        f"the poles turn {np.exp(place.turn):.2f} times as fast ({place.matches} met again)",
+        f"1 within {100 * _TURN:.0f} %", "check the yaw rate's unit and scale",
+    )  # fmt: skip
+
+
 def _scale_findings(
     drive: Drive, motion: Odometer, place: DetectorPlace, *, surveyed: bool
 ) -> list[Finding]:
@@ -143,26 +161,36 @@ def _scale_findings(
 
 
 def find_place(
-    pairs: ScanPairs, motion: Odometer, across: float | None = None
+    pairs: ScanPairs,
+    motion: Odometer,
+    across: float | None = None,
+    *,
+    seek_turn: bool = False,
 ) -> DetectorPlace | None:
     """The frame that the poles are given in; None where too few are met again.
 
     Args:
         across: where the search for a scale of y begins; None if y is of the scale of x.
+        seek_turn: the turn of the motion may be of another scale as well.
     """
     if len(pairs) < _PAIRS_MIN:
         return None
     first, second = pairs.first, pairs.second
     way, turn, known = motion.spans(first.stamp_s, second.stamp_s)
-    moves = move_along_arc(np.zeros(3), way, turn)
-    back = rotate_back(moves[:, :2], turn)
-    elapsed = second.stamp_s - first.stamp_s
-    ay = way * turn / elapsed**2
-    left = np.stack([-back[:, 1], back[:, 0]], axis=1)
-    # R(-turn) - I, and the columns of yaw, way and slip
-    by_place = rotation(-turn) - np.eye(2)
-    by_rest = np.stack([left, -back, -left * ay[:, None]], axis=2)
-    unscaled = np.concatenate([by_place, by_rest], axis=2)
+    ay = way * turn / (second.stamp_s - first.stamp_s) ** 2
+
+    def told(values: Floats) -> Floats:
+        """Where the poles are told to be seen: `(pairs, poles, 2)`."""
+        turns = turn * np.exp(values[6])
+        moves = move_along_arc(np.zeros(3), way, turns)
+        back = rotate_back(moves[:, :2], turns)
+        left = np.stack([-back[:, 1], back[:, 0]], axis=1)
+        shift = (rotation(-turns) - np.eye(2)) @ values[:2]
+        shift += values[2] * left - values[3] * back - values[4] * left * ay[:, None]
+        axes = np.array([1.0, np.exp(values[5])])
+        moved = rotate_back(first.points_m / axes - moves[:, None, :2], turns[:, None])
+        return np.asarray((moved + shift[:, None]) * axes)
+
     # sharper than a car turns, the motion is no measurement
     steps = np.diff(motion.heading_rad) / np.maximum(np.diff(motion.stamp_s), 1e-3)
     sharp = np.concatenate([[0], np.cumsum(np.abs(steps) > _RATE_MAX_RADPS)])
@@ -172,18 +200,15 @@ def find_place(
     ]
     driven = known & (np.abs(ay) < _LATERAL_MAX_MPS2) & (turned[0] == turned[1])
     usable = first.there & driven[:, None]
-    prior_sd = np.append(_PRIOR_SD, 1e-6 if across is None else _ACROSS_SD)
-    values: Floats = np.append(np.zeros(5), across or 0.0)
+    prior_sd = np.array(
+        [*_PRIOR_SD, _NONE if across is None else _ACROSS_SD, _TURN_SD if seek_turn else _NONE]
+    )
+    values: Floats = np.array([0.0, 0.0, 0.0, 0.0, 0.0, across or 0.0, 0.0])
     covariance: Floats = np.diag(prior_sd**2)
     matches = bends = 0
     for gate in _GATES_M:
-        axes = np.array([1.0, np.exp(values[5])])
-        moved = rotate_back(first.points_m / axes - moves[:, None, :2], turn[:, None])
-        told = (moved + (unscaled @ values[:5])[:, None]) * axes
-        # y of what is told grows with its scale, what of y went into it shrinks
-        shrunk = rotate_back(first.points_m / axes * (0.0, 1.0), turn[:, None]) * axes
-        by_across = told * (0.0, 1.0) - shrunk
-        offset = second.points_m[:, None] - told[:, :, None]
+        here = told(values)
+        offset = second.points_m[:, None] - here[:, :, None]
         distance = np.hypot(offset[..., 0], offset[..., 1])
         distance = np.where(second.there[:, None], distance, np.inf)
         nearest = distance.argmin(axis=2)
@@ -195,19 +220,17 @@ def find_place(
         matches = len(pair)
         if matches < _MATCHES_MIN:
             return None
-        design = np.concatenate(
-            [unscaled[pair] * axes[:, None], by_across[pair, row, :, None]], axis=2
-        )
+        columns = [(told(values + _STEP * unit) - here)[pair, row] for unit in np.eye(7)]
+        design = np.stack(columns, axis=2) / _STEP
         rest = offset[pair, row, nearest[pair, row]] + design @ values
         values, covariance = _solve(design, rest, pair, values, prior_sd)
         bends = len(np.unique(pair[np.abs(turn[pair]) > _TURN_MIN_RAD]))
+
     sds = np.sqrt(np.diag(covariance))
     if bends < _BENDS_MIN:
-        sds[[0, 1, 5]] = np.inf
-    return DetectorPlace(
-        values[:3], sds[:3], float(values[3]), float(sds[3]), float(values[5]), float(sds[5]),
-        matches,
-    )  # fmt: skip
+        sds[[0, 1, 5, 6]] = np.inf
+    scales = [float(number) for k in (3, 5, 6) for number in (values[k], sds[k])]
+    return DetectorPlace(values[:3], sds[:3], *scales, matches)
 
 
 def _solve(

@@ -187,12 +187,15 @@ def _guesses(latitude: Floats | float, longitude: Floats | float) -> dict[str, t
         "latitude and longitude exchanged": (longitude, latitude),
         "the sign of the longitude changed": (latitude, -1.0 * longitude),
         "the sign of the latitude changed": (-1.0 * latitude, longitude),
+        "radians taken for degrees": (np.degrees(latitude), np.degrees(longitude)),
     }
 
 
 def _remedy(name: str) -> str:
     if name.startswith("latitude"):
         return "exchange latitude and longitude"
+    if name.startswith("radians"):
+        return "write latitude and longitude in degrees"
     return "write east and north positive, west and south negative"
 
 

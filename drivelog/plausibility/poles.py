@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,10 @@ LAGS_S = (*(-size for size in _SIZES_S), *_SIZES_S)
 _LAG_DOUBT_S, _LAG_WRONG_S = 0.15, 0.6
 _FEW = 12
 _MEET_M = 2.0
+_OFFSET_STEP_RADPS, _OFFSET_MAX_RADPS, _OFFSET_DOUBT_RADPS = 0.005, 0.25, 0.02
+_LOOSE_M2 = 0.3**2
+# scans that repeat the one before to the last digit while the car moves
+_REPEATED, _REPEATED_SHARE = 10, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +47,29 @@ class Mistake:
     """A motion as it would be if something were wrong: factors on way and turn; other axes.
 
     `axes` has the rows of the matrix that brings points as given to x ahead, y left; `oriented`
-    are points that do not turn with the car, but lie by the axes of a map.
+    are points that do not turn with the car, but lie by the axes of a map, in which the heading of
+    the motion begins at this angle; `polar` are ranges and bearings, these in the given unit (rad);
+    `loose` are points of which the covariance says nothing; `offset_radps` is added to the yaw
+    rate.
     """
 
     kind: str
     text: str
     way: float = 1.0
     turn: float = 1.0
-    axes: tuple[tuple[int, int], tuple[int, int]] | None = None
-    oriented: bool = False
+    axes: tuple[tuple[float, float], tuple[float, float]] | None = None
+    oriented: float | None = None
+    polar: float | None = None
+    offset_radps: float = 0.0
+    loose: bool = False
 
 
-AS_TOLD = Mistake("", "")
+def _turned_by(angle: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    c, s = float(np.cos(angle)), float(np.sin(angle))
+    return (c, -s), (s, c)
+
+
+AS_TOLD, LOOSELY = Mistake("", ""), Mistake("", "", loose=True)
 MISTAKES = (
     Mistake("pole_turn", "turn to the other side", turn=-1.0),
     Mistake("pole_direction", "move the other way", way=-1.0),
@@ -61,15 +77,26 @@ MISTAKES = (
     Mistake("pole_axes", "fit with x and y exchanged", axes=((0, 1), (1, 0))),
     Mistake("pole_axes", "fit with x to the right and y ahead", axes=((0, 1), (-1, 0))),
     Mistake("pole_axes", "fit with x to the left and y backward", axes=((0, -1), (1, 0))),
+    *(
+        Mistake(
+            "pole_axes",
+            "fit with x and y along fixed directions, such as east and north",
+            oriented=float(heading),
+            loose=True,
+        )
+        for heading in np.linspace(0.0, 2.0 * np.pi, 18, endpoint=False)
+    ),
+    Mistake("pole_polar", "fit with ranges and bearings (rad) for x and y", polar=1.0, loose=True),
     Mistake(
-        "pole_axes",
-        "fit with x and y along fixed directions, such as east and north",
-        oriented=True,
+        "pole_polar",
+        "fit with ranges and bearings (degrees) for x and y",
+        polar=np.pi / 180,
+        loose=True,
     ),
     Mistake("pole_speed", "fit a speed 2 times larger (they are twice as far)", way=2.0),
     Mistake("pole_speed", "fit a speed 2 times smaller (they are half as far)", way=0.5),
-    Mistake("pole_speed", "fit a speed 1.3 times larger", way=1.3),
-    Mistake("pole_speed", "fit a speed 1.3 times smaller", way=1 / 1.3),
+    Mistake("pole_scale", "fit a speed 1.3 times larger", way=1.3),
+    Mistake("pole_scale", "fit a speed 1.3 times smaller", way=1 / 1.3),
     Mistake("pole_speed", "fit a speed 3.6 times smaller (km/h)", way=1 / 3.6),
     Mistake("pole_speed", "fit a speed 3.6 times larger", way=3.6),
     Mistake("pole_speed", "fit a speed 2.24 times smaller (mph)", way=0.44704),
@@ -82,6 +109,20 @@ MISTAKES = (
     Mistake("pole_speed", "fit a speed 3.28 times smaller (ft/s)", way=0.3048),
     Mistake("pole_turn_unit", "fit a yaw rate in degrees", turn=np.pi / 180.0),
     Mistake("pole_turn_unit", "fit a yaw rate 57.3 times larger", turn=180.0 / np.pi),
+    *(
+        Mistake("pole_turn_offset", "fit a yaw rate with an offset", offset_radps=sign * rate)
+        for rate in (0.025, 0.05, 0.1, 0.2)
+        for sign in (-1.0, 1.0)
+    ),
+    *(
+        Mistake("pole_mounting", "fit turned axes", axes=_turned_by(sign * np.radians(degrees)))
+        for degrees in (4.0, 8.0, 15.0, 25.0)
+        for sign in (-1.0, 1.0)
+    ),
+    *(
+        Mistake("pole_turn_scale", f"fit a yaw rate {factor:g} times as large", turn=factor)
+        for factor in (0.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
+    ),
 )
 
 
@@ -101,16 +142,28 @@ class Scans:
     covariance_m2: Floats
     there: NDArray[np.bool_]
 
-    def in_axes(self, axes: tuple[tuple[int, int], tuple[int, int]]) -> Scans:
+    def in_axes(self, axes: tuple[tuple[float, float], tuple[float, float]]) -> Scans:
         """As they are when the points as given are multiplied by a matrix."""
         turn = np.array(axes, dtype=np.float64)
         return Scans(
             self.stamp_s, self.points_m @ turn.T, turn @ self.covariance_m2 @ turn.T, self.there
         )
 
-    def turned(self, motion: Odometer) -> Scans:
-        """As they are when the points as given lie by the axes that the heading counts from."""
-        heading = np.interp(self.stamp_s, motion.stamp_s, motion.heading_rad)[:, None]
+    def from_polar(self, unit_rad: float) -> Scans:
+        """As they are when the points as given are ranges and bearings in a unit."""
+        reach, bearing = self.points_m[..., 0], self.points_m[..., 1] * unit_rad
+        points = reach[..., None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+        return Scans(self.stamp_s, points, self.covariance_m2, self.there)
+
+    def loosely(self) -> Scans:
+        """With covariances of a common detector instead of the ones stated."""
+        spread = np.broadcast_to(_LOOSE_M2 * np.eye(2), self.covariance_m2.shape)
+        return Scans(self.stamp_s, self.points_m, spread, self.there)
+
+    def turned(self, motion: Odometer, start_rad: float) -> Scans:
+        """As they are when the points as given lie by axes in which the heading begins so."""
+        heading = np.interp(self.stamp_s, motion.stamp_s, motion.heading_rad)
+        heading = (heading + start_rad)[:, None]
         return Scans(
             self.stamp_s,
             rotate_back(self.points_m, heading),
@@ -179,13 +232,18 @@ def agreement(pairs: ScanPairs, motion: Odometer, mistake: Mistake, lag_s: float
     NaN where the motion is not known.
     """
     way, turn, known = motion.spans(pairs.first.stamp_s + lag_s, pairs.second.stamp_s + lag_s)
-    way, turn = way * mistake.way, turn * mistake.turn
+    elapsed = pairs.second.stamp_s - pairs.first.stamp_s
+    way, turn = way * mistake.way, turn * mistake.turn + mistake.offset_radps * elapsed
     moves = move_along_arc(np.zeros(3), way, turn)[:, None]
     first, second = pairs.first, pairs.second
     if mistake.axes is not None:
         first, second = first.in_axes(mistake.axes), second.in_axes(mistake.axes)
-    if mistake.oriented:
-        first, second = first.turned(motion), second.turned(motion)
+    if mistake.polar is not None:
+        first, second = first.from_polar(mistake.polar), second.from_polar(mistake.polar)
+    if mistake.loose:
+        first, second = first.loosely(), second.loosely()
+    if mistake.oriented is not None:
+        first, second = (scans.turned(motion, mistake.oriented) for scans in (first, second))
     moved = rotate_back(first.points_m - moves[..., :2], moves[..., 2])
     spread = rotate_covariance(first.covariance_m2, -turn[:, None])
     total = spread[:, :, None] + second.covariance_m2[:, None] + _FLOOR_M2 * np.eye(2)
@@ -245,19 +303,21 @@ def motion_findings(drive: Drive, motion: Odometer, *, confirmed: bool) -> list[
     if len(pairs) < _FEW:
         return []
     told = agreement(pairs, motion, AS_TOLD)
-    ranked = [advantage(agreement(pairs, motion, mistake), told) for mistake in MISTAKES]
+    loosely = agreement(pairs, motion, LOOSELY)
+    ranked = [
+        advantage(agreement(pairs, motion, mistake), loosely if mistake.loose else told)
+        for mistake in MISTAKES
+    ]
     best = int(np.argmax([sds for sds, _ in ranked]))
-    if ranked[best][0] > _BETTER_SDS and ranked[best][1] > _BETTER_RATIO:
-        return [
-            _mistaken(
-                MISTAKES[best],
-                drive.names.poles,
-                motion.name,
-                ranked[best][1],
-                len(pairs),
-                confirmed,
-            )
-        ]
+    if np.abs(pairs.first.points_m[..., 1]).max() <= np.pi:
+        # so narrow a view fits a car that does not turn as well as bearings
+        polar = next(row for row, mistake in enumerate(MISTAKES) if mistake.polar == 1.0)
+        best = polar if _better(*ranked[polar]) else best
+    if _better(*ranked[best]):
+        mistake, ratio = MISTAKES[best], ranked[best][1]
+        if mistake.kind == "pole_turn_offset":
+            return _offset_finding(drive, pairs, motion, told)
+        return [_mistaken(mistake, drive.names.poles, motion.name, ratio, len(pairs), confirmed)]
     lags = [advantage(agreement(pairs, motion, AS_TOLD, lag), told) for lag in LAGS_S]
     best = int(np.argmax([sds for sds, _ in lags]))
     lag, (sds, ratio) = LAGS_S[best], lags[best]
@@ -271,7 +331,60 @@ def motion_findings(drive: Drive, motion: Odometer, *, confirmed: bool) -> list[
             f"{'late' if late else 'early'} ({ratio:.2f} times as many poles meet)",
             "the same clock",
             f"{'subtract' if late else 'add'} {abs(lag):.1f} s {'from' if late else 'to'} its "
-            "stamps",
+            "stamps"
+            + ("" if confirmed else f", or the other way round with those of {motion.name}"),
+        )
+    ]  # fmt: skip
+
+
+def _better(sds: float, ratio: float) -> bool:
+    return sds > _BETTER_SDS and ratio > _BETTER_RATIO
+
+
+def _offset_finding(
+    drive: Drive, pairs: ScanPairs, motion: Odometer, told: Floats
+) -> list[Finding]:
+    """A constant in the yaw rate, by the value that fits best; a gyro's common one is none."""
+    rates = np.arange(-_OFFSET_MAX_RADPS, _OFFSET_MAX_RADPS + 1e-9, _OFFSET_STEP_RADPS)
+    sums = [
+        float(np.nansum(agreement(pairs, motion, Mistake("", "", offset_radps=float(rate)))))
+        for rate in rates
+    ]
+    best = int(np.argmax(sums))
+    if abs(rates[best]) < _OFFSET_DOUBT_RADPS:
+        return []
+    ratio = sums[best] / max(float(np.nansum(told)), 1e-9)
+    return [
+        Finding(
+            "yaw_rate_offset", "warning", motion.name,
+            f"it turns by {-rates[best]:.3f} rad/s more than {drive.names.poles} "
+            f"({ratio:.2g} times as many meet in {len(pairs)} pairs of scans)",
+            f"within {_OFFSET_DOUBT_RADPS:g} rad/s",
+            "subtract what the sensor shows standing still, or check x and y of the poles",
+        )
+    ]  # fmt: skip
+
+
+def repeated_findings(drive: Drive, motion: Odometer) -> list[Finding]:
+    """Scans that are the one before once more while the car goes on."""
+    scans = [scan for scan in drive.scans if len(scan)]
+    if len(scans) <= _REPEATED:
+        return []
+    stamps = np.array([scan.stamp_s for scan in scans])
+    way, _, known = motion.spans(stamps[:-1], stamps[1:])
+    moved = known & (np.abs(way) > 0.01)
+    same = np.array(
+        [np.array_equal(a.points_vehicle_m, b.points_vehicle_m) for a, b in pairwise(scans)]
+    )
+    count, total = int((same & moved).sum()), int(moved.sum())
+    if count < max(_REPEATED, _REPEATED_SHARE * total):
+        return []
+    return [
+        Finding(
+            "pole_repeated", "error", drive.names.poles,
+            f"{count} of {total} scans repeat the poles of the scan before while {motion.name} "
+            "goes on", "poles that were measured anew",
+            "write the poles of each scan, by what the detector saw then",
         )
     ]  # fmt: skip
 
@@ -293,15 +406,21 @@ def _mistaken(
         "pole_direction": "write x ahead and y to the left" if confirmed
         else f"change the sign of the speed of {name}, or of x and y of {poles}",
         "pole_axes": "write x ahead and y to the left",
+        "pole_scale": "check the distances of the poles" if confirmed
+        else f"check the speed of {name} and the distances of {poles}",
         "pole_speed": "check the unit of x and y" if confirmed
         else f"check the unit of the speed of {name} and of x, y of {poles}",
+        "pole_polar": "write x = range cos(bearing) and y = range sin(bearing)",
         "pole_turn_unit": "check x and y" if confirmed
         else f"write the yaw rate of {name} in rad/s",
+        "pole_mounting": "correct the detector's mounting",
+        "pole_turn_scale": "check x and y" if confirmed
+        else f"check the unit and scale of the yaw rate of {name} (rad/s, not a curvature)",
     }  # fmt: skip
     return Finding(
         mistake.kind,
         "error",
-        poles if mistake.kind == "pole_axes" else at_fault,
+        poles if mistake.kind in ("pole_axes", "pole_polar") else at_fault,
         f"the poles {mistake.text} against the motion of {name} ({ratio:.2g} times as many meet in "
         f"{pairs} pairs of scans)",
         "poles that stand still",

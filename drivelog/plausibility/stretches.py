@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer, common_spans, span_starts
+from polemap.drivelog.streams import GnssStream
 
 Floats = NDArray[np.float64]
 
@@ -25,48 +26,71 @@ _TURN_WAY_MIN_M, _TURN_RAD, _TURN_SHARE, _TURN_TOTAL = 5.0, np.radians(30.0), 0.
 _OFFSET_RADPS, _OFFSET_SPANS = 0.02, 3
 _SAME_ROWS, _VARIES = 50, 1.3
 _FROZEN_WAY_M = 30.0
+# a road that is straight to the last digit is none; a car that stands turns by its gyro's offset
+_FROZEN_RATE_WAY_M, _TURNS_RADPS = 200.0, 0.08
 
 
 def frozen_speed(drive: Drive, judge: Odometer | None) -> list[Finding]:
-    """A speed that is the same in every row while another stream's varies."""
+    """A speed, or a yaw rate, that is the same in every row while another stream's varies."""
     odometry = drive.odometry
-    if odometry is None or judge is None or len(odometry) < _SAME_ROWS:
+    if odometry is None or len(odometry) < _SAME_ROWS:
         return []
-    if np.ptp(odometry.speed_mps) > 0.0 or odometry.speed_mps[0] == 0.0:
+    speed, rate = odometry.speed_mps, odometry.yaw_rate_radps
+    stream, rows = drive.names.odometry, len(odometry)
+    if np.ptp(rate) == 0.0 and np.ptp(speed) > 0.0:
+        way = float(np.abs(speed).mean() * np.ptp(odometry.stamp_s))
+        noisy = judge is None or judge.smooth_s > 1.0
+        if noisy and way > _FROZEN_RATE_WAY_M:
+            return [
+                Finding(
+                    "yaw_rate_frozen", "warning", stream,
+                    f"yaw_rate_radps is {rate[0]:g} in all {rows} rows, over {way:.0f} m of way",
+                    "a measured yaw rate", "write the yaw rate as it was measured, not a default",
+                )
+            ]  # fmt: skip
+    if np.ptp(speed) > 0.0:
         return []
-    starts = span_starts(judge, _SPAN_S / 2.0)
-    way, _, known = judge.spans(starts, starts + _SPAN_S / 2.0)
-    speeds = np.abs(way[known]) / (_SPAN_S / 2.0)
-    if len(speeds) < 3:
-        return []
-    low, high = np.percentile(speeds, [10, 90])
-    if high < _VARIES * low or high < 1.0:
-        return []
+    if judge is None:
+        # a car that turns goes, and none goes at one speed to the last digit
+        fastest = float(np.percentile(np.abs(rate), 95))
+        if fastest < _TURNS_RADPS or speed[0] < 0.0:
+            return []
+        value = f"{stream} turns at {fastest:.2f} rad/s"
+    else:
+        starts = span_starts(judge, _SPAN_S / 2.0)
+        way, _, known = judge.spans(starts, starts + _SPAN_S / 2.0)
+        speeds = np.abs(way[known]) / (_SPAN_S / 2.0)
+        if len(speeds) < 3 or speed[0] == 0.0:
+            return []
+        low, high = np.percentile(speeds, [10, 90])
+        if high < _VARIES * low or high < 1.0:
+            return []
+        value = f"{judge.name} goes at {low:.1f} to {high:.1f} m/s"
     return [
         Finding(
-            "speed_frozen", "error", drive.names.odometry,
-            f"speed_mps is {odometry.speed_mps[0]:g} in all {len(odometry)} rows, "
-            f"{judge.name} goes at {low:.1f} to {high:.1f} m/s", "a measured speed",
+            "speed_frozen", "error" if judge is not None else "warning", stream,
+            f"speed_mps is {speed[0]:g} in all {rows} rows, {value}", "a measured speed",
             "write the speed as it was measured, not a default",
         )
     ]  # fmt: skip
 
 
-def frozen_fixes(drive: Drive, motion: Odometer | None) -> list[Finding]:
-    """The same fix again and again while the car goes on."""
+def frozen_fixes(drive: Drive, motion: Odometer | None) -> tuple[list[Finding], GnssStream | None]:
+    """The same fix again and again while the car goes on, and the fixes without these."""
     gnss = drive.gnss
     if gnss is None or motion is None or len(gnss) < 3:
-        return []
+        return [], gnss
     same = (np.diff(gnss.east_m) == 0.0) & (np.diff(gnss.north_m) == 0.0)
     run = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     firsts, lasts = run[::2], run[1::2]
     if not len(firsts):
-        return []
+        return [], gnss
     way, _, known = motion.spans(gnss.stamp_s[firsts], gnss.stamp_s[lasts])
     stuck = known & (np.abs(way) > _FROZEN_WAY_M)
     if not stuck.any():
-        return []
+        return [], gnss
     longest = int(np.argmax(np.where(stuck, np.abs(way), 0.0)))
+    moving = np.concatenate([[True], ~same])
     return [
         Finding(
             "gnss_frozen", "warning", drive.names.gnss,
@@ -74,7 +98,7 @@ def frozen_fixes(drive: Drive, motion: Odometer | None) -> list[Finding]:
             f"{lasts[longest] - firsts[longest] + 1} rows, over {abs(way[longest]):.0f} m of way",
             "fixes that move with the car", "leave rows out that repeat an old fix",
         )
-    ]  # fmt: skip
+    ], gnss.take(np.flatnonzero(moving))  # fmt: skip
 
 
 def disagreeing_stretches(

@@ -21,6 +21,7 @@ _GAIN_MIN = 6.0
 _LAG_DOUBT_S, _LAG_WRONG_S = 0.15, 0.6
 _GNSS_LAG_DOUBT_S, _GNSS_LAG_WRONG_S = 0.6, 3.0
 _STEP_MAX_S = 1.0
+_PACE_MAX_MPS = 100.0
 _GAP_S = 2.0
 _SHARED_MIN = 0.3
 _TICKS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -54,7 +55,29 @@ def rate_findings(drive: Drive) -> list[Finding]:
                     f"every 0.0001 to {_STEP_MAX_S:g} s", "write stamps in seconds",
                 )
             )  # fmt: skip
-    return found
+    return found or _pace_findings(drive)
+
+
+def _pace_findings(drive: Drive) -> list[Finding]:
+    """Poses that go faster than cars do, by stamps of minutes or hours."""
+    reference = drive.reference
+    if reference is None or len(reference) < 10:
+        return []
+    steps = np.diff(reference.poses[:, :2], axis=0)
+    moving = np.hypot(steps[:, 0], steps[:, 1]) > 0.0
+    if moving.sum() < 10:
+        return []
+    pace = np.hypot(steps[:, 0], steps[:, 1]) / np.maximum(np.diff(reference.stamp_s), 1e-9)
+    median = float(np.median(pace[moving]))
+    if median < _PACE_MAX_MPS:
+        return []
+    return [
+        Finding(
+            "stamp_unit", "error", drive.names.reference,
+            f"its positions go at {median:.0f} m/s in the median", f"below {_PACE_MAX_MPS:g} m/s",
+            "write stamps in seconds (not minutes or hours) and positions in metres",
+        )
+    ]  # fmt: skip
 
 
 def overlap_findings(drive: Drive) -> list[Finding]:

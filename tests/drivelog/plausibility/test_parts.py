@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive, Lap
 from polemap.drivelog.findings import Finding
+from polemap.drivelog.frames import geographic_from_grid, grid_from_geographic
 from polemap.drivelog.plausibility.check import check_drive
 from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.folder import write_drive
-from polemap.vehicle.pose import rotate_back, wrap_angle
+from polemap.vehicle.pose import rotate, rotate_back, wrap_angle
 from tests.drivelog.plausibility.made import (
     clean_drive,
     late,
@@ -22,6 +25,8 @@ from tests.drivelog.plausibility.made import (
     with_points,
     with_reference,
 )
+
+Floats = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -178,6 +183,98 @@ def test_an_axis_of_another_scale_is_noticed(
     found = _only(replace(scaled, **dict.fromkeys(streams)))
     assert (found.kind, found.stream) == ("pole_axes", "poles.csv")
     assert f"{factor:.1f}" in found.value
+
+
+def _polar(unit_rad: float) -> Callable[[Floats], Floats]:
+    return lambda points: np.stack(
+        [np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0]) / unit_rad], axis=1
+    )
+
+
+def _by_map(drive: Drive) -> Drive:
+    poses = drive.reference.at([scan.stamp_s for scan in drive.scans], max_gap_s=1.0)
+    scans = [
+        replace(scan, points_vehicle_m=rotate(scan.points_vehicle_m, pose[2]))
+        for scan, pose in zip(drive.scans, poses, strict=True)
+    ]
+    return replace(drive, scans=tuple(scans))
+
+
+def _repeated(drive: Drive) -> Drive:
+    first = drive.scans[20]
+    return replace(
+        drive,
+        scans=tuple(replace(first, stamp_s=s.stamp_s, arrival_s=s.arrival_s) for s in drive.scans),
+    )
+
+
+# poles and odometry alone: what is done, kind, stream, words of the value or of the remedy
+ALONE: dict[str, tuple[Callable[[Drive], Drive], str, str, str]] = {
+    "ranges and degrees": (lambda d: with_points(d, _polar(np.pi / 180)), "pole_polar",
+                           "poles.csv", "degrees"),
+    "ranges and radians": (lambda d: with_points(d, _polar(1.0)), "pole_polar", "poles.csv",
+                           "rad)"),
+    "axes of the map": (_by_map, "pole_axes", "poles.csv", "east and north"),
+    "one scan for all": (_repeated, "pole_repeated", "poles.csv", "anew"),
+    "a yaw rate 0.05 rad/s too large": (
+        lambda d: with_odometry(d, yaw_rate_radps=d.odometry.yaw_rate_radps + 0.05),
+        "yaw_rate_offset", "odometry.csv", "standing still"),
+    "a yaw rate 30 % too large": (
+        lambda d: with_odometry(d, yaw_rate_radps=d.odometry.yaw_rate_radps * 1.3),
+        "yaw_rate_scale", "odometry.csv", "0.7"),
+    "no yaw rate": (lambda d: with_odometry(d, yaw_rate_radps=0.0 * d.odometry.yaw_rate_radps),
+                    "yaw_rate_frozen", "odometry.csv", "measured"),
+    "no speed": (lambda d: with_odometry(d, speed_mps=0.0 * d.odometry.speed_mps),
+                 "speed_frozen", "odometry.csv", "turns at"),
+    "a speed 20 % too small": (
+        lambda d: with_odometry(d, speed_mps=d.odometry.speed_mps / 1.2), "pole_scale",
+        "poles.csv", "wheel radius of odometry.csv"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_poles_and_odometry_alone_tell_the_mistake(clean: Drive, name: str) -> None:
+    change, kind, stream, words = ALONE[name]
+    alone = replace(change(clean), reference=None, gnss=None)
+    found = next(f for f in check_drive(alone) if f.severity != "note")
+    assert (found.kind, found.stream) == (kind, stream)
+    assert words in f"{found.value} {found.expected} {found.remedy}"
+
+
+def test_a_common_offset_of_a_gyro_is_no_mistake(clean: Drive) -> None:
+    rate = clean.odometry.yaw_rate_radps + 0.008
+    alone = replace(with_odometry(clean, yaw_rate_radps=rate), reference=None, gnss=None)
+    assert check_drive(alone) == []
+
+
+def test_fixes_in_radians_are_told(clean: Drive) -> None:
+    places = np.stack([clean.gnss.east_m, clean.gnss.north_m], axis=1)
+    radians = np.radians(geographic_from_grid(clean.frame, places))
+    east, north = grid_from_geographic(clean.frame, *radians.T).T
+    found = check_drive(with_gnss(clean, east_m=east, north_m=north))
+    assert ("gnss_axes", "in degrees") in [(f.kind, f.remedy[-10:]) for f in found]
+
+
+def test_stamps_in_minutes_are_told(clean: Drive) -> None:
+    stamps = clean.reference.stamp_s / 60.0
+    found = check_drive(replace(with_reference(clean, stamp_s=stamps), odometry=None, gnss=None))
+    assert "stamp_unit" in {f.kind for f in found}
+
+
+def test_fixes_that_stick_do_not_accuse_the_odometry(clean: Drive) -> None:
+    held = np.minimum(np.arange(len(clean.gnss)), 60)
+    stuck = with_gnss(clean, east_m=clean.gnss.east_m[held], north_m=clean.gnss.north_m[held])
+    assert _only(replace(stuck, reference=None)).kind == "gnss_frozen"
+
+
+def test_a_clock_that_is_off_is_its_streams(clean: Drive) -> None:
+    """Fixes are metres off: they do not tell 0.3 s of reference from none."""
+    for seed in range(3):
+        drive = clean_drive(seed)
+        rng = np.random.default_rng(seed)
+        east = drive.gnss.east_m + 2.0 * rng.standard_normal(len(drive.gnss))
+        found = _only(late(with_gnss(drive, east_m=east), "reference", 0.3))
+        assert (found.kind, found.stream) == ("clock_offset", "reference.csv")
 
 
 @pytest.mark.parametrize("degrees", [1.3, -1.3, 3.0])
