@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import weakref
 from collections.abc import Iterator
@@ -40,6 +41,13 @@ def install() -> None:
         # what the caller ignores (nohup) stays ignored
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
+    sys.unraisablehook = _unraisable
+
+
+def _unraisable(what: sys.UnraisableHookArgs) -> None:
+    """A signal that came in a finaliser is raised anew (`_look_again`); it needs no traceback."""
+    if not isinstance(what.exc_value, Stopped):
+        sys.__unraisablehook__(what)
 
 
 def _stop(number: int, _frame: FrameType | None) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from polemap.drivelog.atomic import check_folder, scratch_folder
+from polemap.drivelog.atomic import check_folder, reserved, scratch_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError
 from polemap.settings import Settings, load_settings
@@ -111,7 +111,8 @@ def _simulate(
             )  # fmt: skip
             typer.echo("\n".join(_summary(open_drive(out), out)))
             return
-        with scratch_folder() as place:
+        # the place is held from the start: that it cannot be written is told before the work
+        with reserved(out), scratch_folder() as place:
             made = simulate_drive(
                 scenario, place / "drive", laps, seed, settings.simulate,
                 objects=True, images=images, advance=advance,

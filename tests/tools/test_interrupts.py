@@ -251,3 +251,42 @@ def test_a_simulation_ends_in_one_line(tmp_path: Path) -> None:
     assert error == "polemap: interrupted; nothing half-written stays under a final name\n"
     assert list(tmp_path.iterdir()) == []
     wait_until_gone(process.pid)
+
+
+def test_a_signal_in_a_finaliser_prints_no_traceback() -> None:
+    """What is raised there is printed by Python and dropped; the command is told once more."""
+    script = (
+        "import os, signal, time\n"
+        "from polemap.tools import interrupts\n"
+        "interrupts.install()\n"
+        "class Last:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        time.sleep(1.0)\n"
+        "try:\n"
+        "    Last()\n"
+        "    time.sleep(30.0)\n"
+        "except interrupts.Stopped:\n"
+        "    interrupts.finished()\n"
+        "    raise SystemExit(interrupts.exit_code())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, b"")
+
+
+@pytest.mark.parametrize("layout", ["kitti_odometry", "kitti_raw"])
+def test_a_place_that_cannot_be_written_is_told_before_the_work(
+    layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(*_args: object, **_more: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    def never(*_args: object, **_more: object) -> None:
+        raise AssertionError("work began")
+
+    monkeypatch.setattr("polemap.simulate.drive.simulate_drive", never)
+    monkeypatch.setattr("polemap.simulate.drive.count_frames", lambda *_: 0)
+    monkeypatch.setattr(Path, "mkdir", refused)
+    words = ["simulate", "park_loop", "--out", str(tmp_path / "k"), "--format", layout]
+    assert cli.run(words) == cli.USER_ERROR
+    assert "k: cannot be written (Read-only file system)" in capsys.readouterr().err
