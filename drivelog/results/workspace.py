@@ -251,12 +251,24 @@ def _lock_in(place: Path, target: Path) -> int | None:
             os.close(lock)
             return None
         if os.fstat(lock).st_size == 0:
-            os.write(lock, SIGNATURE)
+            _sign(lock, target)
         _clear(place)
     except BaseException:
         os.close(lock)
         raise
     return lock
+
+
+def _sign(lock: int, target: Path) -> None:
+    """Mark a lock as ours: the first bytes of a result, which a full disk does not take.
+
+    Raises:
+        OutputError: they cannot be written.
+    """
+    try:
+        os.write(lock, SIGNATURE)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror})") from error
 
 
 def _clear(place: Path) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pytest
 from polemap.drivelog.atomic import atomic_file, atomic_folder, reserved
 from polemap.drivelog.errors import OutputError
 from polemap.drivelog.results import workspace
-from polemap.drivelog.results.workspace import sweep
+from polemap.drivelog.results.workspace import fresh_folder, own_workspace, sweep
 
 PROGRAM = """
 import sys
@@ -171,4 +172,20 @@ def test_a_signal_while_a_workspace_is_made_leaves_none(
     assert list(tmp_path.iterdir()) == []
     with writer(target) as made:
         assert made.is_dir()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("make", [own_workspace, fresh_folder])
+def test_a_disk_without_room_for_the_lock_names_the_result(
+    make: Callable[[Path], AbstractContextManager[Path]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def full(*_args: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("polemap.drivelog.results.workspace.os.write", full)
+        with pytest.raises(OutputError, match=r"run: cannot be written \(No space"):
+            make(tmp_path / "run").__enter__()
     assert list(tmp_path.iterdir()) == []
