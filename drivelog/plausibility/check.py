@@ -101,7 +101,7 @@ def _motion(drive: Drive) -> list[Finding]:
         return found + frozen
     stuck, moving = stretches.frozen_fixes(drive, trusted if posed_well else odometry)
     found += stuck
-    if stuck:
+    if stuck and moving is not None:
         # what repeats is neither way nor turn
         gnss = _moving(of_gnss(moving, names.gnss))
     offset = time.find_offset(odometry, trusted, gnss, lambda a, b: poles.contradicted(drive, a, b))

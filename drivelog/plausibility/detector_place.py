@@ -229,8 +229,11 @@ def find_place(
     sds = np.sqrt(np.diag(covariance))
     if bends < _BENDS_MIN:
         sds[[0, 1, 5, 6]] = np.inf
-    scales = [float(number) for k in (3, 5, 6) for number in (values[k], sds[k])]
-    return DetectorPlace(values[:3], sds[:3], *scales, matches)
+    way_log, across_log, turn_log = (float(values[k]) for k in (3, 5, 6))
+    way_sd, across_sd, turn_sd = (float(sds[k]) for k in (3, 5, 6))
+    return DetectorPlace(
+        values[:3], sds[:3], way_log, way_sd, across_log, across_sd, turn_log, turn_sd, matches
+    )
 
 
 def _solve(

@@ -38,13 +38,13 @@ def frozen_speed(drive: Drive, judge: Odometer | None) -> list[Finding]:
     speed, rate = odometry.speed_mps, odometry.yaw_rate_radps
     stream, rows = drive.names.odometry, len(odometry)
     if np.ptp(rate) == 0.0 and np.ptp(speed) > 0.0:
-        way = float(np.abs(speed).mean() * np.ptp(odometry.stamp_s))
+        way_m = float(np.abs(speed).mean() * np.ptp(odometry.stamp_s))
         noisy = judge is None or judge.smooth_s > 1.0
-        if noisy and way > _FROZEN_RATE_WAY_M:
+        if noisy and way_m > _FROZEN_RATE_WAY_M:
             return [
                 Finding(
                     "yaw_rate_frozen", "warning", stream,
-                    f"yaw_rate_radps is {rate[0]:g} in all {rows} rows, over {way:.0f} m of way",
+                    f"yaw_rate_radps is {rate[0]:g} in all {rows} rows, over {way_m:.0f} m of way",
                     "a measured yaw rate", "write the yaw rate as it was measured, not a default",
                 )
             ]  # fmt: skip

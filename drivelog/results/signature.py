@@ -49,8 +49,8 @@ def check_signature(path: Path) -> None:
         ) from error
     if size and re.search(signature, content, re.DOTALL) is None:
         raise OutputError(
-            f"{path}: is there already and was not written by polemap; name another file, or "
-            "delete it"
+            f"{path}: is there already and was not written by polemap, or by a version that did "
+            "not mark its files yet; name another file, or delete it"
         )
 
 
