@@ -1,17 +1,33 @@
-"""Maps without reference poses at length: time, memory and error of simulated drives in a town."""
+"""Maps without reference poses at length: CPU, memory and error of simulated drives in a town.
+
+    python -m benchmarks.polemap.slam_scale [KM] [DRIVES] [SEED]
+
+Points without pictures, cheap GNSS, streets driven two or three times on average; one process. Not
+among the timed ones, so `python -m benchmarks` leaves it out.
+"""
 
 from __future__ import annotations
 
+import resource
+import sys
+import time
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.build.assemble import assemble_map
+from polemap.build.config import MappingConfig
+from polemap.build.slam.condense import condense
+from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.motion import MotionNoise
+from polemap.build.slam.skeleton import solve_condensed
 from polemap.drivelog.drive import Drive
 from polemap.simulate.config import DetectorConfig, GnssConfig
 from polemap.simulate.points.drive import ODOMETRY, PointScenario, simulate_points
 from polemap.simulate.points.motion import GivenPoses
 from polemap.simulate.points.poles import Poles
+from polemap.vehicle.pose import rigid_fit, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -81,3 +97,50 @@ def drive_of(
     )  # fmt: skip
     drive = simulate_points(scenario, rng, poles).drive
     return replace(drive, name=name, gnss_antenna_m=np.array([1.0, 0.0]))
+
+
+def _tell(stage: str, begin_s: float) -> float:
+    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    now_s = time.process_time()
+    print(f"{stage}: {now_s - begin_s:.1f} s of CPU, {memory_mb:.0f} MB at most so far", flush=True)
+    return now_s
+
+
+def main(km: float = 10.0, drives: int = 2, seed: int = 1) -> None:
+    """Simulate, condense drive by drive, solve, build the map, and compare with the truth."""
+    rng = np.random.default_rng(seed)
+    blocks = max(2, round(float(np.sqrt(km * 1000.0 / 2.5 / BLOCK_M.sum()))))
+    poles = town(blocks, rng)
+    truth, parts = [], []
+    begin = time.process_time()
+    for number in range(drives):
+        truth.append(way(blocks, km * 1000.0 / drives, rng))
+        drive = drive_of(truth[-1], poles, rng, f"drive {number}", 10_000.0 * number)
+        parts.append(
+            condense(
+                drive.name, drive, drive.scans, MappingConfig(), SlamConfig(), MotionNoise(),
+                drive.frame,
+            )
+        )  # fmt: skip
+    begin = _tell(f"{km:.0f} km in {drives} drives, simulated and condensed", begin)
+    result, observed = solve_condensed(parts, MappingConfig(), SlamConfig())
+    begin = _tell(f"solved, {result.summary.loops} loops", begin)
+    pole_map = assemble_map(observed, MappingConfig(), result.frame).pole_map
+    _tell(f"map of {len(pole_map)} poles ({len(poles.points_m)} stand there)", begin)
+    found, true = [], []
+    for number, (reference, poses) in enumerate(zip(result.references, truth, strict=True)):
+        at = reference.at(10_000.0 * number + STEP_S * np.arange(len(poses)))
+        known = np.isfinite(at).all(axis=1)
+        found.append(at[known, :2])
+        true.append(poses[known, :2])
+    one, other = np.concatenate(found), np.concatenate(true)
+    laid = transform_points(rigid_fit(one, other), one)
+    for name, off in (("as they are", one - other), ("after one rigid move", laid - other)):
+        middle, most = np.quantile(np.hypot(*off.T), [0.5, 0.95])
+        print(f"poses {name}: {middle:.2f} m median, {most:.2f} m 95 %")
+
+
+if __name__ == "__main__":
+    asked = sys.argv[1:4]
+    km, count, chosen = (*asked, *("10", "2", "1")[len(asked) :])
+    main(float(km), int(count), int(chosen))
