@@ -34,7 +34,8 @@ def command(
         str,
         typer.Argument(
             help="Estimation: W12, W13, W14, N13. Closed loops: N13-slip, N13-cornering, "
-            "W14-lane-change, W14-margins, path-following, full-loop. all runs all but the last."
+            "W13-lane-keeping, W14-lane-change, W14-margins, path-following, full-loop. all runs "
+            "all but the last."
         ),
     ],
     out: Annotated[

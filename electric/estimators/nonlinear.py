@@ -28,6 +28,7 @@ from polemap.electric.estimators.process_noise import (
     FORCE,
     GAMMA,
     GYRO_BIAS,
+    LEAST_SLOPE,
     MOMENT,
     PSI,
     ROLL,
@@ -48,9 +49,6 @@ Floats = NDArray[np.float64]
 # noise of the accelerometer: measured from the changes between its values over this time, and never
 # below a density that roll and vibration have at any rate
 _NOISE_TIME_S, _NOISE_START_MPS2, _NOISE_DENSITY = 2.0, 1.5, 0.1
-# a tyre at its limit still answers the linear model by this share of its stiffness, else the filter
-# would hold its side-slip for unobservable there
-_LEAST_SLOPE = 0.08
 _AY_SPEED_MPS, _COURSE_SPEED_MPS = 3.0, 2.0
 # beyond this many deviations a value is weighed down as if it stood there (Huber)
 _OUTLIER_SD = 4.0
@@ -136,7 +134,7 @@ class NonlinearKalman:
         x[SCALE] = min(max(x.item(SCALE), -_SCALE_MAX), _SCALE_MAX)
 
     def _forces(self) -> tuple[float, float, float, float]:
-        """Front force, slope, rear force, slope at the state, slopes at least `_LEAST_SLOPE`."""
+        """Front force, slope, rear force, slope at the state, slopes at least `LEAST_SLOPE`."""
         x, limits = self._filter.x, self._limits
         front, front_slope, rear, rear_slope = self._axles.forces(
             x.item(BETA), x.item(GAMMA), self._steering - x.item(STEERING), self._speed, limits
@@ -144,9 +142,9 @@ class NonlinearKalman:
         scale = exp(x.item(SCALE))
         return (
             scale * front,
-            scale * min(front_slope, -_LEAST_SLOPE * limits[0]),
+            scale * min(front_slope, -LEAST_SLOPE * limits[0]),
             scale * rear,
-            scale * min(rear_slope, -_LEAST_SLOPE * limits[2]),
+            scale * min(rear_slope, -LEAST_SLOPE * limits[2]),
         )
 
     def _on_tyres(self, t: float, moment_nm: float) -> None:

@@ -20,6 +20,10 @@ SIZE = 11
 BETA, GAMMA, PSI, FORCE, MOMENT, AY_BIAS, SCALE, STEERING, GYRO_BIAS, BANK, ROLL = range(SIZE)
 """Places of the states of `NonlinearKalman`."""
 
+LEAST_SLOPE = 0.08
+"""A tyre at its limit still answers by this share of its stiffness: else a filter would hold its
+side-slip for unobservable there."""
+
 # What the tyres' model lacks in lateral and yaw acceleration, one sigma, and how long it lasts
 # (transients, shorter than a bend). A model of tyres errs by a share of the force that it tells:
 # a straight car's forces are known to the floor. Both axles err alike (one road, one make of

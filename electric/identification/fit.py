@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,27 +18,30 @@ from polemap.electric.identification.parameters import (
     Sensors,
     Space,
 )
-from polemap.electric.identification.prediction import Rows, predict_rows, rows_of
+from polemap.electric.identification.prediction import Rows, rows_of
+from polemap.electric.identification.residuals import (
+    LATERAL,
+    SIDESLIP,
+    SPEED_MPS,
+    YAW_RATE,
+    residual_sds,
+    residuals,
+)
+from polemap.electric.identification.selection import told_from_start
 from polemap.electric.signals import SignalLog
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
 
-SIDESLIP, YAW_RATE, LATERAL = "sideslip_rad", "yaw_rate_radps", "ay_mps2"
-CHANNELS = (SIDESLIP, YAW_RATE, LATERAL)
-# first guess of what a good model leaves over, and the least that is believed of one
-_LEFT_OVER = {SIDESLIP: 0.005, YAW_RATE: 0.02, LATERAL: 0.4}
-_LEAST_LEFT = {SIDESLIP: 0.001, YAW_RATE: 0.002, LATERAL: 0.05}
-# residuals are means over this time: what is faster is noise and vibration
-_BLOCK_S = 0.1
-_SPEED_MPS = 3.0
 _LEAST_S = 3.0
 _LEAST_TURN_RADPS = 0.1
 # a share of the prior deviation from which on the data have told nothing of a parameter, and the
 # distance from a bound, in prior deviations, that counts as standing at it
 _OPEN_SHARE, _AT_BOUND = 0.8, 0.02
-_PASSES = 3
+# what a residual is worth and the fit are found in turn, until no parameter moves by more than this
+# share of its prior deviation
+_SETTLED, _PASSES_MOST = 0.05, 10
 # friction of tyres that stay linear
 _NO_LIMIT = 100.0
 
@@ -50,7 +54,8 @@ class Fitted:
         value, sd: after the fit.
         start, prior_sd: before it.
         at_bound: it stands at a value that it cannot leave, and is not to be trusted.
-        open: the log tells hardly more of it than was believed before.
+        open: the log does not tell it from the start, where it stays, or tells hardly more of it
+            than was believed before.
     """
 
     name: str
@@ -70,7 +75,8 @@ class Fit:
         car: the start with what was fitted.
         sensors: offsets, delay and places of this log's sensors.
         parameters: all that was fitted.
-        left: root mean square of what is left over on the rows fitted to, by channel.
+        left: root mean square of what is left over on the rows fitted to, by channel, with the
+            reference heard.
         rows: rows of the log that were used.
     """
 
@@ -113,35 +119,51 @@ def identify(
         rear_slip_stiffness_nprad=car.rear_slip_stiffness_nprad or car.rear_stiffness_nprad,
     )
     space = Space(start, tuple(p for p in PARAMETERS if p.name not in (*fixed, *_unseen(logs))))
-    weights = dict(_LEFT_OVER)
-    units = np.zeros(len(space.parameters))
-    for _ in range(_PASSES):
-        units, jacobian = _solve(space, stretches, weights, units)
-        weights = _weights(space.at(units), stretches)
+    worth = residual_sds(space.at(np.zeros(len(space.parameters))), stretches, fitted=False)
+    units, covariance, worth = _settle(space, stretches, worth, np.zeros(len(space.parameters)))
+    told = told_from_start(units, covariance)
+    sds = np.sqrt(np.diag(covariance))
+    kept = Space(start, tuple(itertools.compress(space.parameters, told)))
+    units = np.where(told, units, 0.0)
+    if told.any():
+        units[told], covariance, worth = _settle(kept, stretches, worth, units[told])
+        sds[told] = np.sqrt(np.diag(covariance))
     fitted, sensors = space.at(units)
-    linear = _linear(fitted, sensors, stretches, weights)
-    information = jacobian.T @ jacobian
-    sds = np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(units)))))
+    linear = _linear(fitted, sensors, stretches, worth)
     left = {
         channel: float(np.sqrt(np.mean(values**2)))
-        for channel, values in _residuals(space.at(units), stretches).items()
+        for channel, values in residuals(space.at(units), stretches).items()
     }
     return Fit(
         replace(linear, name=name, source=source),
         sensors,
-        tuple(_fitted(space, units, sds)),
+        tuple(_fitted(space, units, sds, told)),
         left,
         sum(len(log) for log in logs),
     )
 
 
-def _linear(
-    car: Car, sensors: Sensors, stretches: Sequence[Rows], weights: dict[str, float]
-) -> Car:
+def _settle(
+    space: Space, stretches: Sequence[Rows], worth: dict[str, Floats], units: Floats
+) -> tuple[Floats, Floats, dict[str, Floats]]:
+    """Units `(n,)`, their covariance `(n, n)`, and what a residual is worth there."""
+    for _ in range(_PASSES_MOST):
+        before = units
+        units, jacobian = _solve(space, stretches, worth, units)
+        worth = residual_sds(space.at(units), stretches)
+        if np.abs(units - before).max() < _SETTLED:
+            break
+    information = jacobian.T @ jacobian
+    return units, np.linalg.inv(information + np.eye(len(units))), worth
+
+
+def _linear(car: Car, sensors: Sensors, stretches: Sequence[Rows], worth: dict[str, Floats]) -> Car:
     """The car with the stiffness of linear tyres that do best on the same rows, all else as it is.
 
-    Linear models take a mean slope of the tyres' curve over the driving that they are used for.
+    Linear models take a mean slope of the tyres' curve over the driving that they are used for,
+    slides and all, where no reference helps them.
     """
+    alike = {channel: np.full(len(sd), np.median(sd)) for channel, sd in worth.items() if len(sd)}
     straight = replace(
         car,
         front_slip_stiffness_nprad=0.0,
@@ -150,7 +172,7 @@ def _linear(
         rear_friction=_NO_LIMIT,
     )
     space = Space(straight, LINEAR_PARAMETERS, sensors)
-    units, _ = _solve(space, stretches, weights, np.zeros(2))
+    units, _ = _solve(space, stretches, alike, np.zeros(2), hear_reference=False)
     found, _ = space.at(units)
     return replace(
         car,
@@ -160,24 +182,27 @@ def _linear(
 
 
 def prediction_errors(fit: tuple[Car, Sensors], logs: Sequence[SignalLog]) -> dict[str, float]:
-    """Root mean square prediction error of a car on logs, by channel that they have."""
+    """Root mean square prediction error of a car on logs, by channel that they have.
+
+    The side-slip reference is not heard: so an estimator without one would do.
+    """
     stretches = [rows for log in logs for rows in rows_of(log)]
     return {
         channel: float(np.sqrt(np.mean(values**2)))
-        for channel, values in _residuals(fit, stretches).items()
+        for channel, values in residuals(fit, stretches, hear_reference=False).items()
         if len(values)
     }
 
 
 def _require_excitation(stretches: Sequence[Rows]) -> None:
-    fast = [rows.speed_mps > _SPEED_MPS for rows in stretches]
+    fast = [rows.speed_mps > SPEED_MPS for rows in stretches]
     seconds = sum(
         float(np.sum(keep) * np.median(np.diff(rows.stamp_s)))
         for rows, keep in zip(stretches, fast, strict=True)
     )
     if seconds < _LEAST_S:
         raise VehicleError(
-            f"identification has {seconds:.1f} s above {_SPEED_MPS:g} m/s without gaps, "
+            f"identification has {seconds:.1f} s above {SPEED_MPS:g} m/s without gaps, "
             f"{_LEAST_S:g} s at least are needed; choose a longer span"
         )
     turns = np.concatenate(
@@ -197,55 +222,19 @@ def _unseen(logs: Sequence[SignalLog]) -> tuple[str, ...]:
     return unseen
 
 
-def _residuals(point: tuple[Car, Sensors], stretches: Sequence[Rows]) -> dict[str, Floats]:
-    """Seen minus predicted by channel, means over `_BLOCK_S` at speed, all stretches in a row."""
-    found: dict[str, list[Floats]] = {channel: [] for channel in CHANNELS}
-    for rows in stretches:
-        told = predict_rows(*point, rows)
-        every = max(1, round(_BLOCK_S / float(np.median(np.diff(rows.stamp_s)))))
-        count = len(rows.stamp_s) // every
-        fast = rows.speed_mps[: count * every].reshape(count, every).min(axis=1) > _SPEED_MPS
-        for channel in CHANNELS:
-            seen = getattr(rows, channel)
-            if seen is None:
-                continue
-            off = (
-                (seen - getattr(told, channel))[: count * every].reshape(count, every).mean(axis=1)
-            )
-            found[channel].append(off[fast & np.isfinite(off)])
-    return {channel: np.concatenate(parts) for channel, parts in found.items() if parts}
-
-
-def _weights(point: tuple[Car, Sensors], stretches: Sequence[Rows]) -> dict[str, float]:
-    """What one residual of a channel is worth: its spread, grown by how alike neighbours are.
-
-    Errors of a model last for a bend. With autocorrelation r_k only one in 1 + 2 sum r_k
-    residuals is news.
-    """
-    weights = {}
-    for channel, values in _residuals(point, stretches).items():
-        spread = max(1.4826 * float(np.median(np.abs(values))), _LEAST_LEFT[channel])
-        clipped = np.clip(values / spread, -3.0, 3.0)
-        power = float(np.mean(clipped**2))
-        alike, lag = 1.0, 1
-        while lag < min(100, len(clipped) // 4):
-            r = float(np.mean(clipped[lag:] * clipped[:-lag])) / power
-            if r < 0.05:
-                break
-            alike += 2.0 * r
-            lag += 1
-        weights[channel] = spread * np.sqrt(alike)
-    return weights
-
-
 def _solve(
-    space: Space, stretches: Sequence[Rows], weights: dict[str, float], start: Floats
+    space: Space,
+    stretches: Sequence[Rows],
+    worth: dict[str, Floats],
+    start: Floats,
+    *,
+    hear_reference: bool = True,
 ) -> tuple[Floats, Floats]:
     """Units at the optimum, and the Jacobian of the data's residuals there, robustly weighed."""
 
     def data(units: Floats) -> Floats:
-        parts = _residuals(space.at(units), stretches)
-        whole = np.concatenate([parts[channel] / weights[channel] for channel in parts])
+        parts = residuals(space.at(units), stretches, hear_reference=hear_reference)
+        whole = np.concatenate([parts[channel] / worth[channel] for channel in worth])
         # pseudo-Huber: its square is the loss, so that the prior beside it stays Gaussian
         return np.asarray(np.sign(whole) * np.sqrt(2.0 * (np.sqrt(1.0 + whole**2) - 1.0)))
 
@@ -274,7 +263,7 @@ def _solve(
     return np.asarray(found.x), np.asarray(found.jac)[: -len(start)]
 
 
-def _fitted(space: Space, units: Floats, sds: Floats) -> list[Fitted]:
+def _fitted(space: Space, units: Floats, sds: Floats, told: NDArray[np.bool_]) -> list[Fitted]:
     low, high = space.bounds()
     found = []
     for index, parameter in enumerate(space.parameters):
@@ -289,7 +278,7 @@ def _fitted(space: Space, units: Floats, sds: Floats) -> list[Fitted]:
                 space.value(index, 0.0),
                 space.sd(index, 0.0, 1.0),
                 bool(at_bound),
-                bool(sds[index] > _OPEN_SHARE),
+                bool(not told[index] or sds[index] > _OPEN_SHARE),
             )
         )
     return found

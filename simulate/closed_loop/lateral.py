@@ -32,6 +32,7 @@ class Command(NamedTuple):
     saturated: bool = False
     sideslip_reference_rad: float = 0.0
     yaw_rate_reference_radps: float = 0.0
+    offset_reference_m: float = 0.0
 
 
 class LateralControl(Protocol):
@@ -50,7 +51,7 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LateralRun:
-    """Everything over time, each `(n,)`."""
+    """Everything over time, each `(n,)`; the offset in the lane is that of the preview point."""
 
     stamp_s: Floats
     sideslip_rad: Floats
@@ -61,12 +62,19 @@ class LateralRun:
     yaw_moment_nm: Floats
     saturated: NDArray[np.bool_]
     speed_mps: Floats
+    offset_m: Floats
+    offset_reference_m: Floats
 
     def error_rms_rad(self, start_s: float = 0.0) -> float:
         """Side-slip against its reference."""
         late = self.stamp_s >= start_s
         error = (self.sideslip_rad - self.sideslip_reference_rad)[late]
         return float(np.sqrt(np.mean(error**2)))
+
+    def offset_error_m(self, start_s: float = 0.0) -> Floats:
+        """Offset in the lane minus the one wanted, from a stamp on."""
+        late = self.stamp_s >= start_s
+        return np.asarray((self.offset_m - self.offset_reference_m)[late])
 
     def peak_rad(self) -> float:
         """Largest side-slip."""
@@ -103,7 +111,9 @@ def run_lateral(
             is held between: one rate for all.
     """
     plant = Plant(parameters, friction)
-    feed = SensorFeed(parameters, sensors or SensorModel(), rng, estimator, late)
+    sensors = sensors or SensorModel()
+    preview_m = sensors.preview_m
+    feed = SensorFeed(parameters, sensors, rng, estimator, late)
     state = plant.rolling(speed_mps)
     command, due = Command(0.0, 0.0), 0.0
     rows: list[tuple[float, ...]] = []
@@ -113,10 +123,10 @@ def run_lateral(
         if control is None:
             command = Command(wanted, 0.0)
         elif hold_s <= 0.0:
-            seen = _see(state, estimator)
+            seen = _see(state, estimator, preview_m)
             command = control(wanted, seen, measured, plant.step_s)
         elif state.time_s >= due - 1e-9:
-            seen = _see(state, estimator)
+            seen = _see(state, estimator, preview_m)
             command = control(wanted, seen, measured, hold_s)
             due += hold_s
         left, right = distribute_torque(
@@ -140,20 +150,34 @@ def run_lateral(
                 command.yaw_moment_nm,
                 float(command.saturated),
                 now.vx_mps,
+                _offset_m(now, preview_m),
+                command.offset_reference_m,
             )
         )
     c = np.array(rows).T
-    return LateralRun(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] > 0.5, c[8])
+    return LateralRun(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] > 0.5, *c[8:])
 
 
-_TRUE_FIELDS = ("sideslip_rad", "yaw_rate_radps")
+_TRUE_FIELDS = ("sideslip_rad", "yaw_rate_radps", "heading_rad", "lateral_offset_m")
 
 
-def _see(state: PlantState, estimator: Estimator | None) -> Estimate:
+def _see(state: PlantState, estimator: Estimator | None, preview_m: float) -> Estimate:
     if estimator is not None:
         return estimator.estimate()
-    true = np.array([state.sideslip_rad(), state.yaw_rate_radps])
-    return Estimate(state.time_s, _TRUE_FIELDS, true, np.zeros(2))
+    true = np.array(
+        [
+            state.sideslip_rad(),
+            state.yaw_rate_radps,
+            state.yaw_rad,
+            _offset_m(state, preview_m),
+        ]
+    )
+    return Estimate(state.time_s, _TRUE_FIELDS, true, np.zeros(4))
+
+
+def _offset_m(state: PlantState, preview_m: float) -> float:
+    """As `SensorFeed` shows it to the camera."""
+    return state.north_m + preview_m * state.yaw_rad
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from typing import Protocol
 from polemap.electric.studies.study import Report, Study
 from polemap.simulate.closed_loop.cornering_study import cornering_study
 from polemap.simulate.closed_loop.full_loop_study import full_loop_study
+from polemap.simulate.closed_loop.lane_keeping_study import lane_keeping_study
 from polemap.simulate.closed_loop.lane_study import lane_study
 from polemap.simulate.closed_loop.margin_study import margin_study
 from polemap.simulate.closed_loop.path_study import path_study
@@ -43,6 +44,7 @@ class Entry:
 LOOP_STUDIES: dict[str, Entry] = {
     "N13-slip": Entry(slip_study, 3),
     "N13-cornering": Entry(cornering_study, 3),
+    "W13-lane-keeping": Entry(lane_keeping_study, 3),
     "W14-lane-change": Entry(lane_study, 3),
     "W14-margins": Entry(margin_study, 1),
     "path-following": Entry(path_study, 3, "passat"),
