@@ -153,8 +153,8 @@ def _settle(
         worth = residual_sds(space.at(units), stretches)
         if np.abs(units - before).max() < _SETTLED:
             break
-    information = jacobian.T @ jacobian
-    return units, np.linalg.inv(information + np.eye(len(units))), worth
+    information = jacobian.T @ jacobian + np.eye(len(units))
+    return units, np.asarray(np.linalg.inv(information), dtype=np.float64), worth
 
 
 def _linear(car: Car, sensors: Sensors, stretches: Sequence[Rows], worth: dict[str, Floats]) -> Car:
