@@ -48,6 +48,13 @@ def test_estimate_writes_a_page_beside_its_csv(
     assert "http://" not in page.replace("http://www.w3.org", "")  # nothing from elsewhere
 
 
+def test_the_page_of_nonlinear_shows_bank_grade_and_nees(log: Path) -> None:
+    assert estimate(log, "--estimator", "nonlinear") == 0
+    page = (log.parent / "out.html").read_text()
+    for text in ("Bank of the road", "Grade of the road", "side-slip, NEES", "within two stated"):
+        assert text in page
+
+
 def test_no_page_where_none_is_wanted_or_can_be_drawn(
     log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

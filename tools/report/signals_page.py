@@ -40,6 +40,8 @@ LABELS = {
     "lateral_offset_m": ("lateral offset, m", 1.0),
     "vx_mps": ("forward velocity, m/s", 1.0),
     "vy_mps": ("lateral velocity, m/s", 1.0),
+    "bank_rad": ("bank of the road, degrees", 180.0 / np.pi),
+    "grade_rad": ("grade of the road, degrees", 180.0 / np.pi),
 }
 
 
@@ -134,6 +136,7 @@ def _headlines(
     for key, label, unit in (
         ("sideslip_rmse_deg", "side-slip, RMSE", "°"),
         ("sideslip_p95_deg", "side-slip, p95", "°"),
+        ("sideslip_nees", "side-slip, NEES (1 where honest)", ""),
         ("vx_rmse_mps", "forward velocity, RMSE", " m/s"),
         ("vy_rmse_mps", "lateral velocity, RMSE", " m/s"),
     ):
