@@ -42,8 +42,8 @@ _SETTLED_SD, _SETTLED_M = 1.0, 20.0
 _CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
 # a hint that is gone is forgotten by this factor at every fit
 _HINT_KEPT = 0.7
-# sd to which a mounting's yaw is known in a car, rad; distance of poles before some were matched
-_MOUNTED_RAD, _REACH_M = 0.007, 15.0
+# of poles, before some have been matched
+_REACH_M = 15.0
 # sd of the errors that are met, for what is likely of one that is found
 _MET_SD = np.array([2.0, 2.0, 1.0]) * TOLERANCE
 # after a contradiction the calibration is acquitted when all looks since then say four times in a
@@ -106,10 +106,10 @@ class DetectorCheck:
         moves the pose aside by as much of the poles' distance. Ranges are asked for at the start,
         stamps move it along a little.
         """
-        excess = _MOUNTED_RAD
+        excess = _MET_SD[0]
         if self.fit is not None:
             excess = abs(self.fit.values[0]) + self.fit.sd[0] - TOLERANCE[0]
-        possible = np.array([np.clip(excess, 0.0, _MOUNTED_RAD), 0.0, 0.0])
+        possible = np.array([np.clip(excess, 0.0, _MET_SD[0]), 0.0, 0.0])
         return self._moved_by(np.hypot(self._hint, possible))
 
     def _moved_by(self, errors: Floats) -> tuple[float, float]:
