@@ -51,9 +51,9 @@ def frozen_speed(drive: Drive, judge: Odometer | None) -> list[Finding]:
     if np.ptp(speed) > 0.0:
         return []
     if judge is None:
-        # a car that turns goes, and none goes at one speed to the last digit
+        # a car that turns goes; one that keeps its speed is believed
         fastest = float(np.percentile(np.abs(rate), 95))
-        if fastest < _TURNS_RADPS or speed[0] < 0.0:
+        if fastest < _TURNS_RADPS or speed[0] != 0.0:
             return []
         value = f"{stream} turns at {fastest:.2f} rad/s"
     else:
