@@ -14,6 +14,7 @@ from polemap.config import PolemapConfig
 from polemap.drivelog.errors import ConfigError
 from polemap.localize.config import LocalizeConfig
 from polemap.parsing.errors import named
+from polemap.parsing.text import packaged_files
 from polemap.parsing.yaml_text import read_yaml
 from polemap.set_option import apply_set_option
 from polemap.simulate.config import SimulateConfig
@@ -49,7 +50,7 @@ def load_settings(config_file: Path | None = None, set_values: list[str] | None 
 
 def shipped_settings() -> list[str]:
     """Settings files that come with the package, as `--config` takes them."""
-    return sorted(f"papers/{f.name}" for f in (files("polemap") / "papers").iterdir())
+    return [f"papers/{name}" for name in packaged_files("polemap", "papers")]
 
 
 def _located(path: Path) -> Path:

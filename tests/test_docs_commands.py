@@ -137,6 +137,8 @@ def test_every_benchmark_is_there(command: str) -> None:
         assert found[2] in modules()
         return
     module = import_module(f"benchmarks.{found[1]}")
+    if hasattr(module, "__path__"):
+        module = import_module(f"benchmarks.{found[1]}.__main__")
     text = Path(str(module.__file__)).read_text()
     assert "__main__" in text
     for option in re.findall(r" (--\w+)", command):

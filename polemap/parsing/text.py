@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import stat
+from importlib.resources import files
 from pathlib import Path
 
 from polemap.parsing.errors import ParsingError
@@ -57,3 +58,8 @@ def decoded(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ParsingError(f"is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+
+
+def packaged_files(package: str, folder: str) -> list[str]:
+    """Names of the files that come with a package in one of its folders, sorted."""
+    return sorted(file.name for file in (files(package) / folder).iterdir() if file.is_file())

@@ -7,7 +7,6 @@ from typing import Protocol
 
 from polemap.electric.studies.study import Report, Study
 from polemap.simulate.closed_loop.cornering_study import cornering_study
-from polemap.simulate.closed_loop.full_loop_study import full_loop_study
 from polemap.simulate.closed_loop.lane_keeping_study import lane_keeping_study
 from polemap.simulate.closed_loop.lane_study import lane_study
 from polemap.simulate.closed_loop.margin_study import margin_study
@@ -41,6 +40,13 @@ class Entry:
     apart: bool = False
 
 
+def _full_loop(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]) -> Study:
+    # perception and map building are slow to import, and no other study needs them
+    from polemap.simulate.closed_loop.full_loop_study import full_loop_study
+
+    return full_loop_study(car, seeds, report, estimators)
+
+
 LOOP_STUDIES: dict[str, Entry] = {
     "N13-slip": Entry(slip_study, 3),
     "N13-cornering": Entry(cornering_study, 3),
@@ -48,6 +54,6 @@ LOOP_STUDIES: dict[str, Entry] = {
     "W14-lane-change": Entry(lane_study, 3),
     "W14-margins": Entry(margin_study, 1),
     "path-following": Entry(path_study, 3, "passat"),
-    "full-loop": Entry(full_loop_study, 3, "passat", apart=True),
+    "full-loop": Entry(_full_loop, 3, "passat", apart=True),
 }
 """By name."""

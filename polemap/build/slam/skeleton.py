@@ -3,7 +3,7 @@
 The rounds are those of single drives (`rounds`): loops, poles that passes share, GNSS. What differs
 is what a drive is: a node every thirty metres with the motions between them (`condense`), and every
 pole of a pass seen from the node that is nearest. Loops are looked for region by region, each
-with the joint covariance of its own nodes; so cost and memory grow with the way driven.
+with the joint covariance of its own nodes.
 """
 
 from __future__ import annotations
