@@ -150,12 +150,15 @@ def allocate(b: Floats, wanted: Floats, limits: Floats, weights: Floats) -> Floa
         free = 1 - held
         for bound in (-limits[held], limits[held]):
             rest = ww - wb[:, held] * bound
-            best = float(wb[:, free] @ rest / (wb[:, free] @ wb[:, free]))
+            square = float(wb[:, free] @ wb[:, free])
+            best = float(wb[:, free] @ rest) / square if square > 0.0 else 0.0
             command: Floats = np.empty(2)
             command[held] = bound
             command[free] = np.clip(best, -limits[free], limits[free])
             candidates.append(command)
-    inside: Floats = np.asarray(np.linalg.solve(b, wanted))
-    if (np.abs(inside) <= limits).all():
-        candidates.append(inside)
+    # inputs that do the same leave a line of optima, which ends at an edge
+    if np.linalg.matrix_rank(b) == 2:
+        inside: Floats = np.asarray(np.linalg.solve(b, wanted))
+        if (np.abs(inside) <= limits).all():
+            candidates.append(inside)
     return min(candidates, key=lambda u: float(np.sum((wb @ u - ww) ** 2)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from polemap.electric.control.body_slip import (
@@ -71,6 +71,9 @@ finite = st.floats(-5.0, 5.0)
 
 
 @given(st.lists(finite, min_size=6, max_size=6))
+# both inputs do the same; one does nothing
+@example([-3.0, -3.0, -5.0, -5.0, 0.3, -0.2])
+@example([-8.0, 1.0, 0.0, -5.0, 0.3, -0.2])
 def test_allocation_is_the_best_command_within_the_limits(values: list[float]) -> None:
     b = np.array([[values[0] + 8.0, values[1]], [values[2], values[3] + 8.0]])
     wanted, limits = np.array(values[4:]) * 10, np.array([0.7, 1.3])
