@@ -14,7 +14,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.fix_delay import find_way, way_unknowns
 from polemap.drivelog.plausibility.odometer import Odometer
-from polemap.drivelog.plausibility.poles import find_pairs, meetings
+from polemap.drivelog.plausibility.scan_pairs import find_pairs, meetings
 from polemap.drivelog.streams import SD_AT_DILUTION_ONE_M
 from polemap.vehicle.pose import rotate
 

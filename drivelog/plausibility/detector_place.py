@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.odometer import Odometer
-from polemap.drivelog.plausibility.poles import ScanPairs, find_pairs
+from polemap.drivelog.plausibility.scan_pairs import ScanPairs, find_pairs
 from polemap.vehicle.motion import move_along_arc
 from polemap.vehicle.pose import rotate_back, rotation
 
