@@ -134,9 +134,8 @@ def _study(driven: dict[tuple[int, str], list[Driven]], poles: list[int]) -> Stu
             ("steering by the particle filter as it is", "raw", "here"),
         ):
             cost = rms[more] - rms[less]
-            lines.append(
-                Line(f"{kmh} km/h: what {name} cost", f"{1000 * cost:+.0f} mm rms", "", "")
-            )
+            text = f"{1000 * cost:+.0f} mm rms" if np.isfinite(cost) else "-"
+            lines.append(Line(f"{kmh} km/h: what {name} cost", text, "", ""))
     remarks = (
         "A driver drives the street once with a reference of 2 cm; its pictures make the map, its "
         "path is the one to follow. Then the car comes again at constant speed: other traffic, "
@@ -149,7 +148,8 @@ def _study(driven: dict[tuple[int, str], list[Driven]], poles: list[int]) -> Stu
         "changes nothing.",
         f"An oscillation is a row of {SWINGS} or more successive swings of {SWING_M} m or more, "
         f"each within {SWING_S:.0f} s; a jump is the pose's error from one hundredth of a second "
-        "to the next.",
+        "to the next. Pictures: 50 km/h, errors of the pose that the car steers by, gaps where it "
+        "is not healthy.",
     )
     first = {case.label: driven[50, case.key][0] for case in CASES}
     return Study(
@@ -222,23 +222,18 @@ def _line(label: str, key: str, figures: dict[str, float]) -> Line:
 
 def _panels(runs: dict[str, FollowRun]) -> tuple[Panel, ...]:
     steered = {label: run for label, run in runs.items() if label != CASES[0].label}
-    errors = {
-        label: {"along": run.pose_error[:, 0], "lateral": run.pose_error[:, 1]}
-        for label, run in steered.items()
-    }
     return (
-        Panel(
-            "lateral error from the path at 50 km/h, m", curves_of(runs, "lateral_m"), (-0.15, 0.15)
-        ),
-        Panel("steering at 50 km/h, degrees", curves_of(runs, "steer_rad", 180.0 / np.pi)),
+        Panel("off the path, m", curves_of(runs, "lateral_m"), (-0.15, 0.15)),
+        Panel("steering, degrees", curves_of(runs, "steer_rad", 180.0 / np.pi)),
         *(
             Panel(
-                f"{name} error of the pose at 50 km/h, m; gaps: not healthy",
+                f"pose {name}, m",
                 tuple(
-                    Curve(label, run.stamp_s, errors[label][name]) for label, run in steered.items()
+                    Curve(label, run.stamp_s, run.pose_error[:, column])
+                    for label, run in steered.items()
                 ),
             )
-            for name in ("along", "lateral")
+            for column, name in enumerate(("along", "lateral"))
         ),
     )
 

@@ -10,6 +10,7 @@ from polemap.drivelog.errors import ConfigError
 from polemap.drivelog.samples import Image, OdometrySample
 from polemap.simulate.closed_loop import full_loop_study as study
 from polemap.simulate.closed_loop.camera_eye import READOUT_S, CameraEye
+from polemap.simulate.closed_loop.follow_run import FollowRun
 from polemap.simulate.closed_loop.taught_street import (
     TaughtStreet,
     _left,
@@ -122,6 +123,26 @@ def test_a_short_street_is_taught_mapped_and_driven(street: TaughtStreet) -> Non
     (_, picture, axes), *_ = timing.shown
     assert picture.shape == (480, 768)
     assert axes.shape[1:] == (2, 2)
+
+
+def test_a_drive_that_was_never_handed_over_has_failed_and_costs_nothing() -> None:
+    stamps = np.arange(0.0, 20.0, 0.01)
+    error = np.full((len(stamps), 3), np.nan)
+    error[600:] = 0.04
+
+    def driven(engaged_s: float) -> study.Driven:
+        run = FollowRun(stamps, 0.05 * np.sin(stamps), 0.0 * stamps, engaged_s, 0.0, False, error)
+        return study.Driven(run, None)
+
+    drives = {(kmh, case.key): [driven(6.0)] for kmh in study.SPEEDS_KMH for case in study.CASES}
+    drives[50, "raw"] = [driven(float("nan"))]
+    made = study._study(drives, [70])
+    lines = {line.name: line for line in made.lines}
+    assert lines["50 km/h, the same, particle filter as it is"].claim == "1 failed"
+    assert lines["50 km/h: what steering by the particle filter as it is cost"].ours == "-"
+    assert lines["50 km/h: what 74 ms of processing cost"].ours == "+0 mm rms"
+    assert made.figures["30_here_pose_lateral_m"] == pytest.approx(0.04)
+    assert made.figures["30_here_rms_m"] == pytest.approx(0.05 / np.sqrt(2.0), rel=0.05)
 
 
 def test_takes_no_estimator() -> None:
