@@ -81,6 +81,7 @@ def make_runs(course: Course, drive_course: Callable[..., Driven]) -> Callable[.
         drive_name: str | None = None,
         notes: tuple[str, ...] = (),
         origin_m: tuple[float, float] = (0.0, 0.0),
+        epsg: int | None = None,
     ) -> Path:
         rng = np.random.default_rng([seed, 1])
         driven = drive_course(seed, laps=laps, sd=wander_sd, correlation_m=15.0, swerve=swerve)
@@ -91,7 +92,9 @@ def make_runs(course: Course, drive_course: Callable[..., Driven]) -> Callable[.
         head = {
             "format_version": 1,
             "name": drive_name or name,
-            "frame": {"kind": "local", "name": "test_plane"},
+            "frame": (
+                {"kind": "utm", "epsg": epsg} if epsg else {"kind": "local", "name": "test_plane"}
+            ),
             "vehicle": {"wheelbase_m": 2.7},
             "type": "test course",
         }

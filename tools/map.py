@@ -16,6 +16,7 @@ from polemap.drivelog.errors import InputError
 from polemap.map.io import check_writable, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
+from polemap.tools.background import check_background, read_background
 from polemap.tools.findings import require_plausible
 from polemap.tools.map_condensed import build_condensed, is_long
 from polemap.tools.map_files import compare, convert_map
@@ -36,6 +37,7 @@ from polemap.tools.map_slam import (
     write_poses,
 )
 from polemap.tools.option_types import (
+    BackgroundOption,
     ConfigOption,
     ForceOption,
     LapOption,
@@ -82,6 +84,7 @@ def command(
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Draw map and routes: .png, .svg or .pdf.")
     ] = None,
+    background: BackgroundOption = None,
     layer: Annotated[
         Path | None,
         typer.Option("--localizability", help="Bounds on the pose along the routes: .geojson."),
@@ -111,6 +114,7 @@ def command(
         polemap map drives/* --workers 8 --out city.parquet --index
         polemap map --index city.parquet districts --workers 8
         polemap map drives/monday --out a.gpkg --picture a.png --localizability route.geojson
+        polemap map drives/monday --out a.gpkg --picture a.png --background town.osm.pbf
         polemap map drives/taxi --slam --poses poses --out campus.gpkg
         polemap map --diff campus_old.gpkg campus.gpkg --out changes.geojson
         polemap map --convert lamps.osm --out lamps.gpkg
@@ -120,7 +124,7 @@ def command(
     in view are left out; `docs/maps.md` has the rules and the columns. A drive without reference
     poses needs odometry, and GNSS if the map is to lie on the earth; `docs/slam.md`.
     """
-    check_files([out, picture, layer], [*(drives or []), convert, config, topics])
+    check_files([out, picture, layer], [*(drives or []), convert, config, topics, background])
     # a map may be brought up to date in its place, pictures of it may not stand there
     check_files([picture, layer], [update])
     settings = load_settings(config, set_values)
@@ -141,6 +145,9 @@ def command(
         raise InputError("--out is missing: it names the map to write, such as campus.gpkg")
     check_writable(out)
     check_picture(picture)
+    check_background(background)
+    if background is not None and picture is None:
+        raise InputError("--background lies under a picture: add --picture map.png")
     if poses is not None:
         check_folder(poses, KIND, drives)
     with reserved(out):
@@ -149,7 +156,7 @@ def command(
             drives, out, lap, _read_old(update), topics, odometry, seed, workers, scheduler, align,
             index, slam, poses, settings,
         )  # fmt: skip
-        _make(job, picture, layer, force=force)
+        _make(job, picture, layer, background, force=force)
 
 
 def _index(maps: list[Path], workers: int | None, scheduler: str | None) -> None:
@@ -167,7 +174,9 @@ def _read_old(update: Path | None) -> PoleMap | None:
     return old
 
 
-def _make(job: MapJob, picture: Path | None, layer: Path | None, *, force: bool) -> None:
+def _make(
+    job: MapJob, picture: Path | None, layer: Path | None, background: Path | None, *, force: bool
+) -> None:
     opened = job.drives()
     for drive in opened:
         require_plausible(drive.name, find(drive), force=force)
@@ -204,7 +213,7 @@ def _make(job: MapJob, picture: Path | None, layer: Path | None, *, force: bool)
         remove_figures(job.out)
     if job.checkpoints.is_dir():
         clear(job.checkpoints)
-    _show(built.pole_map, opened, job.settings, picture, layer)
+    _show(built.pole_map, opened, job.settings, picture, layer, background)
     for line in slam_sentences(solved.result) if solved is not None else ():
         typer.echo(line)
     _say(built, opened, job.out)
@@ -219,6 +228,7 @@ def _show(
     settings: Settings,
     picture: Path | None,
     layer: Path | None,
+    background: Path | None,
 ) -> None:
     """Bounds on the pose along the routes, as a layer and in a picture."""
     if picture is None and layer is None:
@@ -227,7 +237,11 @@ def _show(
     if layer is not None:
         write_localizability(routes, pole_map.frame, layer)
     if picture is not None:
-        draw_map(pole_map, routes, picture)
+        shown = [pole_map.points_m, *(route.poses[:, :2] for route in routes)]
+        under = None
+        if background is not None:
+            under = read_background(background, pole_map.frame, np.concatenate(shown))
+        draw_map(pole_map, routes, picture, under)
 
 
 def _say(built: BuiltMap, drives: list[Drive], out: Path) -> None:

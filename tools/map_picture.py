@@ -18,6 +18,7 @@ from polemap.evaluation.localizability import Localizability, drive_sensor, loca
 from polemap.extras import check_installed
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
+from polemap.tools.background import Background, draw_background
 
 Floats = NDArray[np.float64]
 
@@ -110,8 +111,14 @@ def _density(axes: Any, points: Floats) -> Any:
     return axes.pcolormesh(east, north, shown, cmap="Greys", vmin=0.0, alpha=0.35, zorder=0)
 
 
-def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None:
-    """Poles coloured by existence, sized by width; their density; routes by the lateral bound."""
+def draw_map(
+    pole_map: PoleMap,
+    parts: list[Localizability],
+    path: Path,
+    background: Background | None = None,
+) -> None:
+    """Poles coloured by existence, sized by width; their density, or what lies under them; routes
+    by the lateral bound."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -124,7 +131,9 @@ def draw_map(pole_map: PoleMap, parts: list[Localizability], path: Path) -> None
         figure = Figure(figsize=_size_in(low, high), dpi=110, layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.add_subplot()
-        _draw(axes, figure, pole_map, parts, centre)
+        if background is not None:
+            draw_background(axes, background, centre)
+        _draw(axes, figure, pole_map, parts, centre, shaded=background is None)
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
@@ -149,10 +158,10 @@ def _size_in(low: Floats, high: Floats) -> tuple[float, float]:
 
 
 def _draw(
-    axes: Any, figure: Any, pole_map: PoleMap, parts: list[Localizability], centre: Floats
-) -> None:
+    axes: Any, figure: Any, pole_map: PoleMap, parts: list[Localizability], centre: Floats,
+    *, shaded: bool,
+) -> None:  # fmt: skip
     points = pole_map.points_m - centre
-    shade = _density(axes, points)
     for part in parts:
         route_m = part.poses[:, :2] - centre
         bound = np.minimum(part.lateral_sd_m, _WORST_M)
@@ -164,7 +173,8 @@ def _draw(
         points[:, 0], points[:, 1], c=pole_map.existence, cmap="viridis", vmin=0.5, vmax=1.0,
         s=24 + 80 * width, edgecolors="black", linewidths=0.5,
     )  # fmt: skip
-    bars = [(dots, "existence of the pole"), (shade, "poles a hectare")]
+    bars = [(dots, "existence of the pole")]
+    bars += [(_density(axes, points), "poles a hectare")] if shaded else []
     bars += [(route, "lateral bound, 1 sd (m)")] if parts else []
     for drawn, label in bars:
         figure.colorbar(drawn, ax=axes, location="bottom", label=label, **_BAR)

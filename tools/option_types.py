@@ -39,6 +39,10 @@ TopicsOption = Annotated[
 PageOption = Annotated[
     bool, typer.Option("--page/--no-page", help="Write a page of pictures (HTML).")
 ]
+BackgroundOption = Annotated[
+    Path | None,
+    typer.Option("--background", help="OpenStreetMap extract to draw under maps: .osm, .osm.pbf."),
+]
 LapOption = Annotated[
     str | None, typer.Option("--lap", help="Keep to a row of laps.csv, or to FIRST:LAST.")
 ]

@@ -9,10 +9,11 @@ from os import cpu_count
 from pathlib import Path
 from typing import Annotated, cast
 
+import numpy as np
 import typer
 
 from polemap.drivelog.atomic import atomic_folder, check_folder
-from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.plausibility.check import check_drive
 from polemap.evaluation.alignment import ALIGNMENTS, Alignment
 from polemap.evaluation.exclusions import parse_interval
@@ -21,8 +22,9 @@ from polemap.evaluation.results import RouteResult
 from polemap.evaluation.route import evaluate_route, route_systems
 from polemap.evaluation.routes import Route
 from polemap.evaluation.runs.io import read_run_set
+from polemap.tools.background import Background, check_background, read_background
 from polemap.tools.findings import require_plausible
-from polemap.tools.option_types import ForceOption, SeedOption
+from polemap.tools.option_types import BackgroundOption, ForceOption, SeedOption
 from polemap.tools.progress import progress
 from polemap.tools.report.sweep_spec import parse_sweeps
 from polemap.tools.report.sweeps import run_sweeps
@@ -72,6 +74,7 @@ def command(
         Path | None,
         typer.Option("--cache", help="Of a sweep, as in localize; default: OUT/cache."),
     ] = None,
+    background: BackgroundOption = None,
     latex: Annotated[bool, typer.Option("--latex", help="Write tables.tex too.")] = False,
     force: ForceOption = False,
     seed: SeedOption = 0,
@@ -81,6 +84,7 @@ def command(
     Examples:
         polemap report runs/lap_2 --out report
         polemap report runs/campus runs/avenue runs/suburb --out report --latex
+        polemap report runs/campus --out report --background town.osm.pbf
         polemap report runs/campus --sweep particles=50,200,1000 --sweep-runs 20 --out report
         polemap report runs/campus --add mine=slam.tum --exclude 410:450 --out report
 
@@ -96,11 +100,13 @@ def command(
         cache = None
     added = parse_added(add or [])
     alignment = parse_alignment(align)
-    check_folder(out, KIND, [*runs, *added.values(), cache], CARRIED)
+    check_folder(out, KIND, [*runs, *added.values(), cache, background], CARRIED)
+    check_background(background)
     intervals = [parse_interval(text) for text in exclude or []]
     swept = parse_sweeps(sweep or [])
     routes = open_routes([read_run_set(path) for path in runs], added, alignment=alignment)
     check_folder(out, KIND, _made_from(routes), CARRIED)
+    under = _backgrounds(background, routes)
     _require_plausible(routes, force=force)
     unknown = {i.route for i in intervals if i.route} - {route.name for route in routes}
     if unknown:
@@ -117,9 +123,32 @@ def command(
         )
         output = sweep_output(*found)
     with atomic_folder(out, KIND, carried=CARRIED) as folder:
-        write_report(results, folder, output, latex=latex, seed=seed)
+        write_report(results, folder, output, latex=latex, seed=seed, backgrounds=under)
     typer.echo(screen_table(results))
     typer.echo(f"wrote {out / 'report.html'} and {out / 'report.json'}")
+
+
+def _backgrounds(path: Path | None, routes: Sequence[Route]) -> list[Background | None]:
+    """What lies under each route.
+
+    Raises:
+        InputError: nothing does, or where on the earth a route lies is not known.
+    """
+    if path is None:
+        return [None] * len(routes)
+    found: list[Background | None] = []
+    for route in routes:
+        drives = [one.drive for one in route.recordings if one.drive is not None]
+        frames = [route.pole_map.frame] if route.pole_map is not None else []
+        frames += [drive.frame for drive in drives]
+        if not frames:
+            raise InputError(
+                f"route {route.name}: neither its map nor its drive can be read, so where on the "
+                "earth it lies is not known: leave out --background"
+            )
+        line = np.concatenate([one.guide.poses[:, :2] for one in route.recordings])
+        found.append(read_background(path, frames[0], line))
+    return found
 
 
 def _require_plausible(routes: Sequence[Route], *, force: bool) -> None:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from polemap.evaluation.exclusions import excluded_mask
 from polemap.evaluation.results import RouteResult, SystemResult
+from polemap.tools.background import Background, draw_background
 from polemap.tools.report.filter_figures import (
     consistency,
     errors_over_time,
@@ -34,10 +35,11 @@ Floats = NDArray[np.float64]
 CLOSE_UP_M = 60.0
 
 
-def route_pictures(result: RouteResult, slug: str) -> list[Picture]:
+def route_pictures(
+    result: RouteResult, slug: str, background: Background | None = None
+) -> list[Picture]:
     """Every picture that the route has data for, in the order of the page."""
     makers = (
-        map_picture,
         close_up,
         lateral_along_route,
         monte_carlo,
@@ -48,14 +50,20 @@ def route_pictures(result: RouteResult, slug: str) -> list[Picture]:
         timing_picture,
     )
     made = [maker(result, f"{slug}-{maker.__name__.replace('_', '-')}") for maker in makers]
+    made.insert(0, map_picture(result, f"{slug}-map-picture", background))
     return [picture for picture in made if picture is not None]
 
 
-def map_picture(result: RouteResult, key: str) -> Picture | None:
-    """All laps of the first run on the pole map."""
+def map_picture(
+    result: RouteResult, key: str, background: Background | None = None
+) -> Picture | None:
+    """All laps of the first run on the pole map, over what lies under it."""
     with drawing(8.0, 6.0) as figure:
         axes = figure.add_subplot()
         axes.set_aspect("equal", adjustable="datalim")
+        if background is not None:
+            draw_background(axes, background, np.zeros(2))
+            axes.grid(visible=False)
         poles = result.route.pole_map
         if poles is not None and len(poles):
             points = near_points(poles.points_m, result)

@@ -5,13 +5,14 @@ Without the script, and in print, it is still a picture of the whole route.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import LineString
 
 from polemap.evaluation.results import RouteResult
+from polemap.tools.background import ATTRIBUTION, Background
 from polemap.tools.report.figures import drawn_systems, near_points, system_label
 from polemap.tools.report.route_bound import STEP_M, route_bound
 
@@ -46,7 +47,7 @@ class InteractiveMap:
     layers: tuple[Layer, ...]
 
 
-def interactive_map(result: RouteResult) -> InteractiveMap:
+def interactive_map(result: RouteResult, background: Background | None = None) -> InteractiveMap:
     """Trajectories of the first run of every system, and the poles around them."""
     line = np.concatenate([one.guide.poses[:, :2] for one in result.route.recordings])
     origin = np.floor(line.min(axis=0))
@@ -57,6 +58,8 @@ def interactive_map(result: RouteResult) -> InteractiveMap:
         dots = "".join(f"M{x:.2f} {-y:.2f}h0" for x, y in points.tolist())
         layers.append(Layer(f"mapped poles ({len(points)})", "pole", (dots,)))
     layers = _bound_layers(result, origin) + layers
+    if background is not None:
+        layers = _background_layers(background, origin) + layers
     for one in drawn_systems(result):
         paths = [
             _path_data(part)
@@ -70,6 +73,18 @@ def interactive_map(result: RouteResult) -> InteractiveMap:
     width, height = (float(v) for v in high - low)
     view = (float(low[0]), float(-high[1]), width, height)
     return InteractiveMap(float(origin[0]), float(origin[1]), view, tuple(layers))
+
+
+def _background_layers(background: Background, origin: Floats) -> list[Layer]:
+    """Streets, houses and the rest, to a decimetre."""
+    layers = []
+    for shape, kinds in (("area", background.areas), ("line", background.lines)):
+        for kind, ways in kinds.items():
+            end = "z" if shape == "area" else ""
+            paths = tuple(_path_data(np.round(way - origin, 1)) + end for way in ways)
+            layers.append(Layer(kind, f"osm {shape} {kind}", paths))
+    layers[-1] = replace(layers[-1], label=f"{layers[-1].label} ({ATTRIBUTION})")
+    return layers
 
 
 def _bound_layers(result: RouteResult, origin: Floats) -> list[Layer]:

@@ -15,6 +15,7 @@ from polemap import __version__
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.tum import tum_text
 from polemap.evaluation.results import RouteResult
+from polemap.tools.background import Background
 from polemap.tools.machine import describe_machine
 from polemap.tools.report.comparison import compare_systems
 from polemap.tools.report.document import document, document_text
@@ -49,16 +50,23 @@ def write_report(
     sweeps: SweepOutput = NO_SWEEPS,
     latex: bool = False,
     seed: int = 0,
+    backgrounds: Sequence[Background | None] = (),
 ) -> dict[str, Any]:
-    """Write everything under `out` and return the content of report.json."""
+    """Write everything under `out` and return the content of report.json.
+
+    Args:
+        backgrounds: what lies under the map of each result; nothing where none is given.
+    """
     machine = describe_machine()
     made = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     comparison, differences = compare_systems(results, seed)
     tables = [*all_tables(results, machine), *([comparison] if comparison.rows else [])]
     tables += sweeps.tables
     slugs = _slugs([result.route.name for result in results])
+    under = dict(zip(slugs, backgrounds or [None] * len(slugs), strict=True))
     pictures = {
-        slug: route_pictures(result, slug) for slug, result in zip(slugs, results, strict=True)
+        slug: route_pictures(result, slug, under[slug])
+        for slug, result in zip(slugs, results, strict=True)
     }
     photos = {slug: route_photos(result, slug) for slug, result in zip(slugs, results, strict=True)}
     head = {"polemap": __version__, "made": made, "machine": machine, "seed": seed}
@@ -74,7 +82,7 @@ def write_report(
         Section(
             f"route-{slug}",
             result.route.name,
-            interactive_map(result),
+            interactive_map(result, under[slug]),
             # The page has a zoomable map instead of the still one.
             tuple(p for p in pictures[slug] if not p.key.endswith("map-picture")),
             tuple(_settings(result)),
