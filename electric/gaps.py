@@ -49,6 +49,7 @@ def play_parts(
     *,
     steering_offset_rad: float = 0.0,
     steering_scale: float = 1.0,
+    steering_delay_s: float = 0.0,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Played, Counter[str]]:
     """Play a log with a new estimator after every gap.
@@ -76,6 +77,7 @@ def play_parts(
             log.between(start, end),
             steering_offset_rad=steering_offset_rad,
             steering_scale=steering_scale,
+            steering_delay_s=steering_delay_s,
             progress=progress,
         )
         means.append(part.mean)

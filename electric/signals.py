@@ -148,6 +148,7 @@ def play(
     *,
     steering_offset_rad: float = 0.0,
     steering_scale: float = 1.0,
+    steering_delay_s: float = 0.0,
     every: int = 1,
     observe: Callable[[int, Estimator], None] | None = None,
     progress: Callable[[int], None] | None = None,
@@ -160,7 +161,9 @@ def play(
     """
     n = len(log)
     stamps = log.stamp_s.tolist()
-    steering = steering_scale * (log.held("road_wheel_angle_rad") - steering_offset_rad)
+    # no wheel turns before its sensor shows it
+    shown = shifted(log.stamp_s, log.held("road_wheel_angle_rad"), max(steering_delay_s, 0.0))
+    steering = steering_scale * (shown - steering_offset_rad)
     speed_name = "vx_mps" if log.has("vx_mps") else "speed_mps"
     # _make builds a row's tuple without naming its fields: half the time on a long log
     inputs = list(
@@ -215,6 +218,13 @@ def play(
         if progress is not None and row % 1000 == 999:
             progress(1000)
     return Played(log.stamp_s[::every], estimator.fields, mean, sd)
+
+
+def shifted(stamp_s: Floats, values: Floats, later_s: float) -> Floats:
+    """A signal `(n,)` as it was `later_s` before each stamp; itself where that is 0."""
+    if not later_s:
+        return values
+    return np.asarray(np.interp(stamp_s - later_s, stamp_s, values))
 
 
 def _late_events(log: SignalLog) -> dict[int, list[tuple[float, str, tuple[float, ...]]]]:

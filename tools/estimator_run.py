@@ -61,6 +61,7 @@ def run_estimator(
             signals,
             steering_offset_rad=car.steering_offset_rad,
             steering_scale=car.steering_scale,
+            steering_delay_s=car.steering_delay_s,
             progress=advance,
         )
     for reason, count in dropped.items():

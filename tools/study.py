@@ -108,7 +108,8 @@ def command(
 def write_page(out: Path, studies: list[tuple[Study, int]]) -> None:
     """Tables and pictures of studies with their seeds, in one page."""
     # matplotlib is an extra: only who wants the page imports it
-    from polemap.tools.report.signals_page import render_signals, study_section
+    from polemap.tools.report.signals_page import render_signals
+    from polemap.tools.report.study_page import study_section
 
     sections = [study_section(study, seeds) for study, seeds in studies]
     title = sections[0].title if len(sections) == 1 else "The papers' studies"
@@ -147,7 +148,7 @@ def write_study(study: Study, folder: Path) -> None:
     with atomic_file(folder / f"{study.name}.png") as part:
         figure.savefig(str(part), dpi=110)
     if study.shown:
-        from polemap.tools.report.signals_page import draw_shown
+        from polemap.tools.report.study_page import draw_shown
 
         strip: Figure = need("matplotlib.figure").Figure(figsize=(12, 5.4), layout="constrained")
         draw_shown(strip, study.shown)

@@ -24,6 +24,7 @@ class Car:
         preview_m: how far ahead of the centre of gravity the camera reads the lateral offset.
         steering_offset_rad: road-wheel angle that the sensor shows when the car runs straight.
         steering_scale: road-wheel angle over what the sensor shows beyond that.
+        steering_delay_s: how much later the wheels turn than the sensor shows.
         sideslip_point_m: how far ahead of the centre of gravity the side-slip reference sits.
         gps_point_m: how far ahead of the centre of gravity the GPS antenna sits.
         rear_track_m: distance of the rear wheels; 0 if unknown.
@@ -59,6 +60,7 @@ class Car:
     steering_ratio: float = 0.0
     motor_torque_limit_nm: float = 0.0
     steering_scale: float = 1.0
+    steering_delay_s: float = 0.0
     front_slip_stiffness_nprad: float = 0.0
     rear_slip_stiffness_nprad: float = 0.0
     front_friction: float = 1.0

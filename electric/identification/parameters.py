@@ -39,20 +39,23 @@ class Sensors:
     """How a log's sensors differ from what their columns are called.
 
     Attributes:
-        steering_delay_s: how much later the wheels turn than the column says.
         gyro_offset_radps: what the yaw rate shows in straight driving.
         ay_offset_mps2: what the lateral acceleration shows in straight driving: bias, bank.
         ay_point_m: how far ahead of the centre of gravity the accelerometer sits.
         ay_scale: what it shows over the truth: roll of the body adds to it.
         sideslip_offset_rad: by what the side-slip reference is turned.
+        speed_delay_s, ay_delay_s, sideslip_delay_s: how much later than the gyro these columns show
+            what the car does.
     """
 
-    steering_delay_s: float = 0.0
     gyro_offset_radps: float = 0.0
     ay_offset_mps2: float = 0.0
     ay_point_m: float = 0.0
     ay_scale: float = 1.0
     sideslip_offset_rad: float = 0.0
+    speed_delay_s: float = 0.0
+    ay_delay_s: float = 0.0
+    sideslip_delay_s: float = 0.0
 
 
 # Beliefs about a car whose data sheet gives mass and wheelbase. Stiffness: tyres of one load differ
@@ -76,13 +79,16 @@ PARAMETERS = (
     Parameter("ay_point_m", 0.3, 1.5),
     Parameter("ay_scale", 0.03, 0.15, relative=True),
     Parameter("sideslip_offset_rad", 0.003, 0.02),
+    Parameter("speed_delay_s", 0.02, 0.15),
+    Parameter("ay_delay_s", 0.02, 0.15),
+    Parameter("sideslip_delay_s", 0.02, 0.15),
 )
 LINEAR_PARAMETERS = (
     Parameter("front_stiffness_nprad", 0.4, 1.4, relative=True),
     Parameter("rear_stiffness_nprad", 0.4, 1.4, relative=True),
 )
-OF_REFERENCE = ("sideslip_point_m", "sideslip_offset_rad")
-OF_ACCELEROMETER = ("ay_offset_mps2", "ay_point_m", "ay_scale")
+OF_REFERENCE = ("sideslip_point_m", "sideslip_offset_rad", "sideslip_delay_s")
+OF_ACCELEROMETER = ("ay_offset_mps2", "ay_point_m", "ay_scale", "ay_delay_s")
 
 
 @dataclass(frozen=True, slots=True)

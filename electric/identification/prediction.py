@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from polemap.electric.gaps import find_gaps
 from polemap.electric.identification.parameters import Sensors
-from polemap.electric.signals import SignalLog
+from polemap.electric.signals import SignalLog, shifted
 from polemap.vehicle.axles import Axles
 from polemap.vehicle.motion import sideslip_at
 from polemap.vehicle.parameters import Car
@@ -120,14 +120,17 @@ def predict_rows(
         hear_reference: whether the side-slip reference is followed where the rows have it.
     """
     axles = Axles(car)
-    delayed = np.interp(rows.stamp_s - sensors.steering_delay_s, rows.stamp_s, rows.steering_rad)
+    delayed = shifted(rows.stamp_s, rows.steering_rad, car.steering_delay_s)
     steering = ((delayed - car.steering_offset_rad) * car.steering_scale).tolist()
-    speeds = np.maximum(rows.speed_mps, KINEMATIC_SPEED_MPS).tolist()
+    speed = shifted(rows.stamp_s, rows.speed_mps, -sensors.speed_delay_s)
+    speeds = np.maximum(speed, KINEMATIC_SPEED_MPS).tolist()
     gyro = (rows.yaw_rate_radps - sensors.gyro_offset_radps).tolist()
     ax = rows.ax_mps2.tolist()
     point, turned = car.sideslip_point_m, sensors.sideslip_offset_rad
-    slips = rows.sideslip_rad if hear_reference else None
-    reference = [float("nan")] * len(speeds) if slips is None else slips.tolist()
+    reference = [float("nan")] * len(speeds)
+    if hear_reference and rows.sideslip_rad is not None:
+        early = -sensors.sideslip_delay_s
+        reference = shifted(rows.stamp_s, rows.sideslip_rad, early).tolist()
     steps = np.diff(rows.stamp_s, append=2.0 * rows.stamp_s[-1] - rows.stamp_s[-2]).tolist()
     m, inertia = car.mass_kg, car.yaw_inertia_kgm2
     lf, lr = car.cg_to_front_m, car.cg_to_rear_m
@@ -156,6 +159,8 @@ def predict_rows(
         beta = min(max(beta, -1.0), 1.0)
     slip = sideslip_at(out[:, 0], out[:, 1], np.asarray(speeds), car.sideslip_point_m)
     lateral = sensors.ay_scale * (out[:, 2] + sensors.ay_point_m * out[:, 3])
+    slip = shifted(rows.stamp_s, np.asarray(slip), sensors.sideslip_delay_s)
+    lateral = shifted(rows.stamp_s, np.asarray(lateral), sensors.ay_delay_s)
     return Predicted(
         np.asarray(slip + sensors.sideslip_offset_rad),
         np.asarray(out[:, 1] + sensors.gyro_offset_radps),

@@ -76,6 +76,9 @@ def delay_rows(car: Car, seeds: int, report: Report) -> Rows:
     return [line], {"delay_ignored": ratio}
 
 
+_STEADY_25 = Scene(25 * KMH, 8.0, 0.1, 0.5, PATTERN_S, model_noise=False)
+
+
 def position_rows(car: Car, seeds: int, report: Report) -> Rows:
     """W13's simulation: stiffness x 1.2, delays 20, 15, 10, 25 ms, scored on lateral position.
 
@@ -91,8 +94,7 @@ def position_rows(car: Car, seeds: int, report: Report) -> Rows:
         "uneven_delay": ("stored residual alone", ""),
         "clones": ("exact", ""),
     }
-    steady = Scene(25 * KMH, 8.0, 0.1, 0.5, PATTERN_S, model_noise=False)
-    for key, scene in (("25", steady), ("0-30", swinging(0.0, 30.0, steady))):
+    for key, scene in (("25", _STEADY_25), ("0-30", swinging(0.0, 30.0, _STEADY_25))):
         drives = camera_drives(car.scaled(stiffness=1.2), scene, MISMATCH, seeds)
         for field, label in (
             ("lateral_offset_m", "lateral position"),
@@ -117,6 +119,29 @@ def position_rows(car: Car, seeds: int, report: Report) -> Rows:
                 )
                 report(seeds)
     return lines, figures
+
+
+def position_panels(car: Car) -> tuple[Panel, ...]:
+    """W13's Figs. 4 and 5 for one drive: delays of the pictures, errors of the lateral position."""
+    drive = camera_drives(car.scaled(stiffness=1.2), _STEADY_25, MISMATCH, 1)[0]
+    stamps, true = drive.log.stamp_s[::EVERY], drive.truth[::EVERY, 3]
+    assumed = MISMATCH.model_copy(update={"camera_delay_s": float(np.mean(PATTERN_S))})
+    errors = []
+    for label, name, config in (
+        ("W13", "uneven_compensated", MISMATCH),
+        ("17.5 ms assumed", "multi_rate", assumed),
+        ("stored residual alone", "uneven_delay", MISMATCH),
+    ):
+        played = play(make_estimator(name, car, config), drive.log, every=EVERY)
+        errors.append(Curve(label, stamps, 1e3 * (played.column("lateral_offset_m") - true)))
+    rows = np.flatnonzero(np.isfinite(drive.log.columns["camera_arrival_s"]))
+    taken = drive.log.stamp_s[rows]
+    late = 1e3 * (drive.log.columns["camera_arrival_s"][rows] - taken)
+    shown = taken < 1.0
+    return (
+        Panel("lateral position error, mm", tuple(errors), (0.0,)),
+        Panel("delay of a picture, ms", (Curve("delay", taken[shown], late[shown]),)),
+    )
 
 
 def velocity_rows(

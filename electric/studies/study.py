@@ -49,6 +49,19 @@ class Panel:
     log_x: bool = False
 
 
+def sideslip_panels(curves: tuple[Curve, ...]) -> tuple[Panel, ...]:
+    """Side-slips and their errors; the truth comes first."""
+    if not curves:
+        return ()
+    truth = curves[0]
+    errors = [Curve(c.label, c.stamp_s, np.degrees(c.value - truth.value)) for c in curves[1:]]
+    degrees = [Curve(c.label, c.stamp_s, np.degrees(c.value)) for c in curves]
+    return (
+        Panel("side-slip, degrees", tuple(degrees)),
+        Panel("side-slip error, degrees", tuple(errors), (0.0,)),
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Shown:
     """A grey picture of a study, `(rows, columns)`, and lines `(n, 2, 2)` in its pixels."""

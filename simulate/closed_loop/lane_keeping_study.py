@@ -10,7 +10,7 @@ from polemap.electric.control.lane_keeping import LaneKeeper, LaneWeights
 from polemap.electric.control.lateral_stability import LateralLimits
 from polemap.electric.estimators.base import CAMERA, Estimate
 from polemap.electric.studies.scenes import KMH
-from polemap.electric.studies.study import Line, Panel, Report, Study, curves_of
+from polemap.electric.studies.study import Curve, Line, Panel, Report, Study, curves_of
 from polemap.simulate.closed_loop.cars import plant_of
 from polemap.simulate.closed_loop.choice import CAMERA_NOISE, TRUTH, behind, choose
 from polemap.simulate.closed_loop.cornering import yaw_moment_limit_nm
@@ -108,6 +108,11 @@ def lane_keeping_study(car: Car, seeds: int, report: Report, estimators: tuple[s
                 lines.append(line)
                 figures |= found
                 curves[label] = runs[0]
+    shown = {
+        f"{name}, {rate}": curves[f"{name}, steering and moment, {rate}"]
+        for name, rate in ((TRUTH, "multi-rate"), (names[0], "single rate"),
+                           (names[-1], "multi-rate"))
+    }  # fmt: skip
     remarks = (
         "Columns: rms and largest error of y_l against where it is wanted; rms of the side-slip "
         "and largest |Nz|; W13 names integrated motion and position control and prints none.",
@@ -121,7 +126,7 @@ def lane_keeping_study(car: Car, seeds: int, report: Report, estimators: tuple[s
         (),
         remarks,
         figures,
-        _panels({n: r for n, r in curves.items() if "and moment" in n}),
+        _panels(shown),
         ("y_l error rms, peak", "side-slip, moment", "the paper says"),
     )
 
@@ -155,8 +160,13 @@ def _row(label: str, runs: list[LateralRun], shift: LaneShift) -> tuple[Line, di
 def _panels(runs: dict[str, LateralRun]) -> tuple[Panel, ...]:
     degrees = 180.0 / np.pi
     wanted = curves_of({"wanted": next(iter(runs.values()))}, "offset_reference_m")
+    errors = tuple(
+        Curve(name, run.stamp_s, 1e3 * (run.offset_m - run.offset_reference_m))
+        for name, run in runs.items()
+    )
     return (
         Panel("offset at the preview point, m", (*wanted, *curves_of(runs, "offset_m"))),
+        Panel("offset error, mm", errors, (0.0,)),
         Panel("side-slip, degrees", curves_of(runs, "sideslip_rad", degrees)),
         Panel("steering, degrees", curves_of(runs, "steer_rad", degrees)),
         Panel("yaw moment, N m", curves_of(runs, "yaw_moment_nm")),

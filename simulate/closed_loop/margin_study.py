@@ -216,7 +216,9 @@ def _panels(car: Car) -> tuple[Panel, ...]:
 
 def _bode_and_nyquist(car: Car, gains: PiGains) -> tuple[Panel, ...]:
     """Bode (gain, phase) and Nyquist of both rates, without and with the motors' lag."""
-    gain, phase, nyquist = [], [], []
+    gain, phase = [], []
+    around = np.linspace(0.0, 2.0 * np.pi, 33)
+    nyquist = [Curve("the limit", -1.0 + 0.02 * np.cos(around), 0.1 * np.sin(around))]
     for label, period in (("33 ms", SLOW_S), ("1 ms", FAST_S)):
         for lag, text in ((0.0, ""), (LAG_S, ", motors of 5 ms")):
             loop = open_loop(car, SPEED_MPS, gains, period, lag)
@@ -231,5 +233,5 @@ def _bode_and_nyquist(car: Car, gains: PiGains) -> tuple[Panel, ...]:
     return (
         Panel("gain, dB", tuple(gain), (0.0,), "frequency, Hz", log_x=True),
         Panel("phase, degrees", tuple(phase), (-180.0,), "frequency, Hz", log_x=True),
-        Panel("Nyquist, imaginary part", tuple(nyquist), (0.0,), "real part; -1 is the limit"),
+        Panel("Nyquist, imaginary part", tuple(nyquist), (0.0,), "real part"),
     )

@@ -9,7 +9,7 @@ import pytest
 
 from polemap.electric.identification.fit import Fit, identify, prediction_errors
 from polemap.electric.identification.parameters import PARAMETERS, Sensors, Space
-from polemap.electric.signals import SignalLog
+from polemap.electric.signals import SignalLog, shifted
 from polemap.vehicle.errors import VehicleError
 from polemap.vehicle.io import load_car
 from polemap.vehicle.parameters import Car
@@ -71,6 +71,25 @@ def test_the_fit_predicts_what_it_never_saw_better_than_the_start(whole: Fit) ->
     start = prediction_errors((START, Sensors()), other)
     assert ours["sideslip_rad"] < 0.3 * start["sideslip_rad"]
     assert ours["sideslip_rad"] < 0.002
+
+
+def test_each_columns_delay_is_found() -> None:
+    """Steering that acts 30 ms later, speed, accelerometer and reference that lag the gyro."""
+    log = driven(TRUTH, 25.0, seed=3, ay_sd_mps2=0.1)
+    late = {"vx_mps": 0.08, "ay_mps2": 0.05, "sideslip_rad": 0.06, "road_wheel_angle_rad": -0.03}
+    columns = {
+        name: shifted(log.stamp_s, values, late.get(name, 0.0))
+        for name, values in log.columns.items()
+    }
+    fit = identify([SignalLog(log.stamp_s, columns)], START, name="x", source="y")
+    for name, true in (
+        ("steering_delay_s", 0.03), ("ay_delay_s", 0.05), ("sideslip_delay_s", 0.06),
+    ):  # fmt: skip
+        value, sd = found(fit, name)
+        assert value == pytest.approx(true, abs=0.012), name
+        assert sd < 0.01, name
+    assert fit.car.steering_delay_s == found(fit, "steering_delay_s")[0]
+    assert fit.sensors.ay_delay_s == found(fit, "ay_delay_s")[0]
 
 
 def test_no_reference_is_needed() -> None:

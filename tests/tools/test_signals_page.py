@@ -15,7 +15,8 @@ from polemap.electric.studies.study import Curve, Line, Panel, Study
 from polemap.electric.watched import Fault, Innovations, Record
 from polemap.tools import option_types
 from polemap.tools.cli import run
-from polemap.tools.report.signals_page import estimate_section, render_signals, study_section
+from polemap.tools.report.signals_page import estimate_section, render_signals
+from polemap.tools.report.study_page import study_section
 from polemap.vehicle.io import load_car
 
 

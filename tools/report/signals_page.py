@@ -1,29 +1,24 @@
-"""The page of signals: what `estimate` and `study` show, in one HTML file."""
+"""The page of signals: its sections, and that of an estimate, in one HTML file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import cycle
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from polemap import __version__
 from polemap.electric.gaps import find_gaps
 from polemap.electric.signals import Played, SignalLog
-from polemap.electric.studies.study import Curve, Panel, Shown, Study
 from polemap.electric.watched import Fault, Record
 from polemap.tools.report.page import page_environment, style_sheet
 from polemap.tools.report.style import (
     COLOURS,
-    LAPS,
     Picture,
     drawing,
     finish,
     legend_above,
-    plain_log,
     thin,
     tidy,
 )
@@ -102,31 +97,6 @@ def estimate_section(
         "estimate", name, f"Estimate of {name}", (_fault_table(faults),), tuple(pictures),
         tuple(_headlines(scores, record, faults)),
     )  # fmt: skip
-
-
-def study_section(study: Study, seeds: int) -> SignalSection:
-    """A study's table, curves and remarks."""
-    rows = tuple((x.name, x.ours, x.expected, x.claim) for x in study.lines)
-    table = Table(
-        f"{study.name.lower()}_table",
-        f"{seeds} seed" + ("s" if seeds != 1 else ""),
-        ("figure", *study.headings),
-        rows,
-        text_columns=1,
-    )
-    panels = study.panels or _side_slip_panels(study)
-    pictures = tuple(_panel(study.name, number, panel) for number, panel in enumerate(panels))
-    if study.shown:
-        pictures = (*pictures, _strip(study))
-    return SignalSection(
-        study.name.lower(),
-        study.name,
-        f"{study.name}: {study.title}",
-        (table,),
-        pictures,
-        (),
-        study.remarks,
-    )
 
 
 def _headlines(
@@ -283,61 +253,6 @@ def _inputs(log: SignalLog, faults: Sequence[Fault]) -> Picture:
             tidy(axes, "", label)
         plots[-1].set_xlabel("time, s")
         return finish(figure, "inputs", "Inputs", "What the estimator was driven by.")
-
-
-def _side_slip_panels(study: Study) -> tuple[Panel, ...]:
-    """Side-slip and its errors of a study whose curves are side-slips, the truth first."""
-    if not study.curves:
-        return ()
-    truth = study.curves[0]
-    degrees = [Curve(c.label, c.stamp_s, np.degrees(c.value)) for c in study.curves]
-    errors = [
-        Curve(c.label, c.stamp_s, np.degrees(c.value - truth.value)) for c in study.curves[1:]
-    ]
-    return (
-        Panel("side-slip, degrees", tuple(degrees)),
-        Panel("side-slip error, degrees", tuple(errors), (0.0,)),
-    )
-
-
-def _panel(name: str, place: int, panel: Panel) -> Picture:
-    with drawing(9.0, 3.1) as figure:
-        axes = figure.subplots()
-        colours = cycle(LAPS)
-        for curve in panel.curves:
-            colour = COLOURS["ink"] if curve.label == "truth" else next(colours)
-            x, y = curve.stamp_s, curve.value
-            if len(x) > 1 and bool((np.diff(x) > 0.0).all()) and not panel.log_x:
-                x, y = thin(x, y)
-            axes.plot(x, y, color=colour, label=curve.label, lw=1.1)
-        for mark in panel.marks:
-            axes.axhline(mark, color=COLOURS["faint"], lw=0.8, ls="--")
-        tidy(axes, panel.x_label, panel.label)
-        if panel.log_x:
-            plain_log(axes)
-        if len(panel.curves) > 1:
-            legend_above(axes, 4)
-        title = panel.label.split(",")[0].capitalize()
-        return finish(figure, f"{name}_{place}", title, f"{name}, first drive.")
-
-
-def _strip(study: Study) -> Picture:
-    with drawing(9.0, 2.0 * -(-len(study.shown) // 3)) as figure:
-        draw_shown(figure, study.shown)
-        caption = f"{study.name}, first drive: left pictures with the poles that were tracked then."
-        return finish(figure, f"{study.name}_pictures", "What the car saw", caption)
-
-
-def draw_shown(figure: Figure, shown: Sequence[Shown]) -> None:
-    """Pictures in rows of three, their lines over them."""
-    for place, one in enumerate(shown):
-        axes = figure.add_subplot(-(-len(shown) // 3), 3, place + 1)
-        rows, columns = one.image.shape
-        axes.imshow(one.image, cmap="gray", interpolation="antialiased")
-        for line in one.lines_px:
-            axes.plot(*line.T, color=COLOURS["kf"], lw=1.5)
-        axes.set(xlim=(0, columns), ylim=(rows, 0), xticks=[], yticks=[])
-        axes.set_title(one.label, fontsize=9)
 
 
 def _plain(signal: str) -> str:
