@@ -104,7 +104,9 @@ class Localizer:
             else None
         )
         self._filter = OutputFilter(config.output, receiver, config.odometry.rear_slip_rad_per_mps2)
-        self._limiter = OutputLimiter(limited=config.output.limit_corrections)
+        self._limiter = OutputLimiter(
+            limited=config.output.limit_corrections, step_beyond_m=config.output.step_beyond_m
+        )
         self._health = config.health
         # without a map fixes are all there is
         self._fixes_out = config.gnss.output or pole_map is None

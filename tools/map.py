@@ -33,9 +33,9 @@ from polemap.tools.map_slam import (
     check_slam,
     lacks_reference,
     slam_sentences,
-    update_without_reference,
     write_poses,
 )
+from polemap.tools.map_update import update_without_reference
 from polemap.tools.option_types import (
     BackgroundOption,
     ConfigOption,
@@ -154,7 +154,7 @@ def command(
         # the map keeps its own zone: drives come to it
         job = MapJob(
             drives, out, lap, _read_old(update), topics, odometry, seed, workers, scheduler, align,
-            index, slam, poses, settings,
+            index, slam, poses, settings, update,
         )  # fmt: skip
         _make(job, picture, layer, background, force=force)
 
@@ -182,13 +182,10 @@ def _make(
         require_plausible(drive.name, find(drive), force=force)
     without = job.slam or any(map(lacks_reference, opened))
     if without:
-        updates_by_workers = job.old is not None and not job.is_serial
-        check_slam(opened, updates_by_workers=updates_by_workers, asked=job.slam)
+        check_slam(opened, asked=job.slam)
     solved = None
     if without and job.old is not None:
-        built, opened = update_without_reference(
-            opened, job.old, job.settings, align=job.align, asked=job.slam, seed=job.seed
-        )
+        built, opened = update_without_reference(job, opened, job.old)
     elif without:
         if job.is_serial and not is_long(opened):
             solved = build_without_reference(opened, job.settings, align=job.align)

@@ -40,6 +40,7 @@ class MapJob:
     slam: bool
     poses: Path | None
     settings: Settings
+    update: Path | None = None
 
     @property
     def mapping(self) -> str | None:

@@ -19,12 +19,9 @@ from polemap.drivelog.atomic import atomic_folder
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
-from polemap.drivelog.streams import ReferenceStream
 from polemap.drivelog.tum import shortest, tum_text
 from polemap.extras import check_installed
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.replay import replay
-from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
 from polemap.tools.map_worker import scan
 from polemap.tools.progress import progress
@@ -35,7 +32,6 @@ _COLUMNS = (
     "stamp_s,east_m,north_m,yaw_rad,sd_m,var_east_m2,cov_east_north_m2,var_north_m2,var_yaw_rad2"
 )
 KIND = "poses"
-_KNOWN_M = 0.5  # an axis: worse poses would blur the map
 _FIGURES = "slam.json"
 
 
@@ -53,20 +49,15 @@ def lacks_reference(drive: Drive) -> bool:
     return drive.reference is None or not len(drive.reference)
 
 
-def check_slam(drives: Sequence[Drive], *, updates_by_workers: bool, asked: bool) -> None:
+def check_slam(drives: Sequence[Drive], *, asked: bool) -> None:
     """Refuse what cannot be done before poles are detected; say so where it was not asked for.
 
     Raises:
-        InputError: an update by several processes, odometry made from the reference.
+        InputError: odometry made from the reference.
     """
     lacking = next((drive.name for drive in drives if lacks_reference(drive)), None)
     if lacking is not None and not asked:
         typer.echo(f"note: drive {lacking} has no reference poses: they are estimated (--slam)")
-    if updates_by_workers:
-        raise InputError(
-            "drives without reference poses are localized in the map of --update in one process: "
-            "leave out --workers and --scheduler"
-        )
     for drive in drives:
         if drive.odometry_is_derived:
             raise InputError(
@@ -110,61 +101,6 @@ def build_without_reference(
     built = build_map(solved, settings.polemap, scans_of, frame=result.frame, align=align)
     built = replace(built, pole_map=result.with_precision(built.pole_map))
     return BuiltWithoutReference(built, solved, result)
-
-
-def update_without_reference(
-    drives: Sequence[Drive],
-    old: PoleMap,
-    settings: Settings,
-    *,
-    align: bool,
-    asked: bool,
-    seed: int,
-) -> tuple[BuiltMap, list[Drive]]:
-    """Localize the drives in the old map, and bring it up to date from where they were.
-
-    With `asked` those that have a reference are localized too. What the localizer does not know to
-    `_KNOWN_M` has no part in the map.
-
-    Raises:
-        FrameError, InputError: as localizing.
-    """
-    placed, seen = [], {}
-    for drive in drives:
-        total = len(drive.frame_stamps_s) if drive.has_frames else len(drive.scans)
-        with progress(total, "detecting poles") as advance:
-            scans = scan(drive, settings, advance)
-        if asked or lacks_reference(drive):
-            drive = _localized(drive, old, scans, settings, seed)
-        placed.append(drive)
-        seen[id(drive)] = scans
-    built = build_map(
-        placed, settings.polemap, lambda drive: seen[id(drive)], update=old, align=align
-    )
-    return built, placed
-
-
-def _localized(
-    drive: Drive, old: PoleMap, scans: Sequence[Detections], settings: Settings, seed: int
-) -> Drive:
-    """The drive with the localizer's poses as its reference."""
-    with progress(None, "localizing in the old map"):
-        found = replay(replace(drive, images=None), old, scans, settings.localize, seed=seed).pf
-    covariance = found.covariance
-    assert covariance is not None
-    sd_m = np.sqrt(np.maximum(np.trace(covariance[:, :2, :2], axis1=1, axis2=2) / 2.0, 1e-6))
-    known = sd_m <= _KNOWN_M
-    if not known.any():
-        raise InputError(
-            f"drive {drive.name}: it was nowhere localized in the map to {_KNOWN_M} m; update with "
-            "drives that lie in the map, or solve for their poses without --update"
-        )
-    typer.echo(
-        f"note: drive {drive.name} was localized in the map: {np.mean(known):.0%} of its "
-        f"{len(found)} scans are known to {_KNOWN_M} m, {np.median(sd_m[known]):.2f} m (median)"
-    )
-    reference = ReferenceStream(found.stamp_s[known], found.poses[known], sd_m[known])
-    return replace(drive, reference=reference)
 
 
 def motion_noise(config: LocalizeConfig) -> MotionNoise:

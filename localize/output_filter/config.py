@@ -59,6 +59,14 @@ class OutputConfig(BaseModel):
         description="Between two ticks the output is corrected by 1.5 m/s and 0.4 rad/s at most; "
         "off: by all that the filter says (S16).",
     )
+    step_beyond_m: float = Field(
+        1.0,
+        ge=1.0,
+        le=1000.0,
+        description="What the output is off by beyond this is taken out at once, flagged; less, at"
+        " 1.5 m/s, stated as spread while it lasts. Larger: back from unmapped streets without a"
+        " step.",
+    )
     reinitialize_after_s: float = Field(
         2.0,
         gt=0.0,

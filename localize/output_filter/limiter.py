@@ -21,7 +21,10 @@ Floats = NDArray[np.float64]
 CORRECTION_MPS, CORRECTION_RADPS = 1.5, 0.4
 """Fastest corrections: 15 mm and 0.23 degrees a tick of 100 Hz."""
 RECOVERED_M = 1.0
-"""What is outstanding beyond this is no correction: the output was lost, and says it is back."""
+"""What is outstanding beyond this is no correction: the output was lost, and says it is back.
+
+With a larger bound what is less is approached all the same, a filter that started anew included.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +62,12 @@ class OutputLimiter:
 
     Args:
         limited: off, every correction comes at once.
+        step_beyond_m: what is outstanding beyond this comes at once too.
     """
 
-    def __init__(self, *, limited: bool = True) -> None:
+    def __init__(self, *, limited: bool = True, step_beyond_m: float = RECOVERED_M) -> None:
         self._limited = limited
+        self._step_beyond_m = step_beyond_m
         self._last: tuple[float, Pose] | None = None
         self._jumps = 0
 
@@ -79,13 +84,13 @@ class OutputLimiter:
         flag, jump = "", 0.0
         if self._last is None:
             pose, flag = (x, y, yaw), "started"
-        elif jumps != self._jumps:
+        elif jumps != self._jumps and not self._approaches(state):
             pose, flag = (x, y, yaw), "reinitialized"
             moved = self._carried(state)
             jump = hypot(x - moved[0], y - moved[1])
         else:
             pose = self._approach(state)
-            if hypot(x - pose[0], y - pose[1]) > RECOVERED_M:
+            if hypot(x - pose[0], y - pose[1]) > self._step_beyond_m:
                 moved = self._carried(state)
                 pose, flag = (x, y, yaw), "recovered"
                 jump = hypot(x - moved[0], y - moved[1])
@@ -104,6 +109,12 @@ class OutputLimiter:
         dt = state.stamp_s - stamp
         x, y, yaw = ctrv_step(pose, state.mean[3], state.mean[4], dt, state.slip_rad_per_mps2)
         return x, y, yaw
+
+    def _approaches(self, state: FilterState) -> bool:
+        """Whether a filter that started anew is so near that the output goes to it gradually."""
+        x, y, _ = self._carried(state)
+        off_m = hypot(state.mean[0] - x, state.mean[1] - y)
+        return self._limited and self._step_beyond_m > RECOVERED_M and off_m <= self._step_beyond_m
 
     def _approach(self, state: FilterState) -> Pose:
         if not self._limited:

@@ -107,9 +107,6 @@ def test_what_does_not_go_together_is_one_line(
     built: Path, sim: Simulated, capsys: pytest.CaptureFixture[str]
 ) -> None:
     taxi, out = str(built / "taxi"), str(built / "x.gpkg")
-    old = ["--update", str(built / "map.gpkg"), "--workers", "2"]
-    assert run(["map", taxi, *old, "--out", out]) == 2
-    assert "leave out --workers" in capsys.readouterr().err
     surveyed = write_simulated(built / "surveyed", sim, reference=False)
     shutil.copy(built / "p" / "taxi.csv", surveyed / "reference.csv")
     assert run(["map", str(surveyed), "--out", out, "--poses", str(built / "q")]) == 2

@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from polemap import __version__
 from polemap.build.city.io import read_checkpoint, write_checkpoint
@@ -48,17 +48,26 @@ class DriveTask:
     def key(self) -> str:
         """Names the computation: another drive, setting or version gives another key."""
         parts = [__version__, self.path, self.name, self.lap, self.seed, str(self.frame)]
-        text = json.dumps([*parts, self.settings, *([self.topics] if self.topics else [])])
+        more = [self.topics, self.odometry] if self.topics or self.odometry != "auto" else []
+        text = json.dumps([*parts, self.settings, *more])
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-Observe = Callable[[DriveTask], DriveObservations]
+class Keyed(Protocol):
+    """A job whose `key` names the computation."""
+
+    def key(self) -> str:
+        """Another drive, setting or version gives another."""
+        ...
+
+
+J = TypeVar("J", bound=Keyed)
 T = TypeVar("T")
 
 
 def observe_all(
-    tasks: Sequence[DriveTask],
-    observe: Observe,
+    tasks: Sequence[J],
+    observe: Callable[[J], DriveObservations],
     checkpoints: Path,
     workers: Workers,
     advance: Advance = lambda _steps: None,
@@ -81,8 +90,8 @@ def observe_all(
 
 
 def compute_all(
-    tasks: Sequence[DriveTask],
-    compute: Callable[[DriveTask], T],
+    tasks: Sequence[J],
+    compute: Callable[[J], T],
     checkpoints: Path,
     workers: Workers,
     read: Callable[[Path, str], T | None],
@@ -102,16 +111,16 @@ def compute_all(
     """
     results: dict[str, T] = {}
 
-    def place(task: DriveTask) -> Path:
+    def place(task: J) -> Path:
         return checkpoints / f"{task.key()}.npz"
 
-    def done(task: DriveTask) -> bool:
+    def done(task: J) -> bool:
         part = read(place(task), task.key())
         if part is not None:
             results[task.key()] = part
         return part is not None
 
-    def keep(task: DriveTask, part: T) -> None:
+    def keep(task: J, part: T) -> None:
         write(part, task.key(), place(task))
         results[task.key()] = part
 

@@ -1,8 +1,8 @@
 """The factor graph in GTSAM: factors from the tables, solving, covariances.
 
 Poses `X` are Pose2, landmarks `L` and GNSS biases `B` Point2, calibrations `C` vectors of six.
-Two kinds of factors are ours: a motion, whose prediction is linear in the calibration about that
-of its preintegration,
+Two kinds of factors are ours (`factors`): a motion, whose prediction is linear in the calibration
+about that of its preintegration,
 
     e = (A^-1 B) - (m + J (c - c0)),
 
@@ -19,22 +19,23 @@ ICRA 2013.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.build.slam.factors import FIX_CAUCHY, OwnFactors
 from polemap.build.slam.problem import Problem, Solution
 from polemap.extras import need
-from polemap.vehicle.pose import pose_rotation, rotation, transform_points
+from polemap.vehicle.pose import rotation, transform_points
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 # residuals, in standard deviations, from which a factor loses weight
-_MOTION_HUBER, _SEEN_HUBER, _FIX_CAUCHY, LINK_SCALE = 3.0, 2.0, 2.0, 3.0
+_SEEN_HUBER, LINK_SCALE = 2.0, 3.0
 _STEPS = 40
+_SIZE = 6  # of a calibration
 _CONVERGED = 2e-6
 # holds what nothing else does, metres and radians
 _LOOSE = np.array([1e3, 1e3, 3.0])
@@ -68,11 +69,12 @@ class Graph:
         self._problem = problem
         self._graph = self._gtsam.NonlinearFactorGraph()
         self._values = self._gtsam.Values()
+        self._own = OwnFactors(problem)
         self._insert()
         self._calibration(*sds)
-        self._motions()
+        self._starts()
         self._detections()
-        self._fixes()
+        self._biases()
         self._links()
         self._known_poles()
 
@@ -106,18 +108,8 @@ class Graph:
             known = p.calibration_known[row]
             graph.add(g.PriorFactorVector(self._key("c", row), known, noise))
 
-    def _motions(self) -> None:
+    def _starts(self) -> None:
         g, p = self._gtsam, self._problem
-        kernel = g.noiseModel.mEstimator.Huber.Create(_MOTION_HUBER)
-        for row in range(len(p.motion)):
-            noise = g.noiseModel.Gaussian.Covariance(p.motion_covariance[row])
-            first, number = int(p.motion_from[row]), int(p.motion_calibration[row])
-            keys = [self._key("x", first), self._key("x", first + 1), self._key("c", number)]
-            error = _motion_error(
-                keys, p.motion[row], p.motion_jacobian[row], p.calibration[number]
-            )
-            robust = g.noiseModel.Robust.Create(kernel, noise)
-            self._graph.add(g.CustomFactor(robust, keys, error))
         loose = g.noiseModel.Diagonal.Sigmas(_LOOSE)
         held = g.noiseModel.Diagonal.Sigmas(_ORIGIN)
         starts = np.setdiff1d(np.arange(len(p.poses)), p.motion_from + 1)
@@ -146,16 +138,8 @@ class Graph:
             keys = self._key("x", pose), self._key("l", landmark)
             add(factor(*keys, g.Rot2(angle), length, noise))
 
-    def _fixes(self) -> None:
+    def _biases(self) -> None:
         g, p, graph = self._gtsam, self._problem, self._graph
-        kernel = g.noiseModel.mEstimator.Cauchy.Create(_FIX_CAUCHY)
-        for row in range(len(p.fix_from)):
-            keys = [self._key("x", int(p.fix_from[row])), self._key("b", int(p.fix_bias[row]))]
-            noise = g.noiseModel.Robust.Create(
-                kernel, g.noiseModel.Isotropic.Sigma(2, float(p.fix_sd_m[row]))
-            )
-            error = _fix_error(keys, p.fix_antenna_m[row], p.fix_m[row])
-            graph.add(g.CustomFactor(noise, keys, error))
         n = len(p.bias_sd_m)
         for row in range(n):
             sd, share = float(p.bias_sd_m[row]), float(p.bias_share[row])
@@ -187,17 +171,17 @@ class Graph:
     def solve(self, steps: int = _STEPS) -> Solution:
         """Gauss-Newton, reweighted by the kernels, with a step that is halved where it worsens."""
         self._known = None
-        cost = self._graph.error(self._values)
+        cost = self._cost(self._values)
         ordering = None
         for _ in range(steps):
-            linear = self._graph.linearize(self._values)
+            linear = self._linear()
             if ordering is None:
                 ordering = self._gtsam.Ordering.ColamdGaussianFactorGraph(linear)
             step = linear.optimize(ordering)
             share, moved, after = 1.0, self._values, np.inf
             while share > 0.05:
                 moved = self._values.retract(step if share == 1.0 else step.scale(share))
-                after = self._graph.error(moved)
+                after = self._cost(moved)
                 if after <= cost:
                     break
                 share *= 0.5
@@ -208,29 +192,45 @@ class Graph:
                 break
         return self._solution(float(cost))
 
+    def _cost(self, values: Any) -> float:
+        poses, _, calibration, bias = self._arrays(values)
+        return float(self._graph.error(values)) + self._own.loss(poses, calibration, bias)
+
+    def _linear(self) -> Any:
+        linear = self._graph.linearize(self._values)
+        poses, _, calibration, bias = self._arrays(self._values)
+        self._own.add_to(linear, self._gtsam, poses, calibration, bias)
+        return linear
+
+    def _arrays(self, values: Any) -> tuple[Floats, Floats, Floats, Floats]:
+        """Poses `(n, 3)`, landmarks `(m, 2)`, calibrations `(k, 6)` and biases `(d, 2)`."""
+        take, p = self._gtsam.utilities, self._problem
+        # in the order of the keys, "b" before "l"; rows that GTSAM keeps for vectors come last
+        points = np.asarray(take.extractPoint2(values)).reshape(-1, 2)
+        points = points[: len(p.bias_sd_m) + len(p.points_m)]
+        biases = len(p.bias_sd_m)
+        calibration = np.asarray(take.extractVectors(values, "c")).reshape(-1, _SIZE)
+        return np.asarray(take.extractPose2(values)), points[biases:], calibration, points[:biases]
+
     def _solution(self, cost: float) -> Solution:
-        p, values = self._problem, self._values
-        poses = np.empty((len(p.poses), 3))
-        for row in range(len(poses)):
-            pose = values.atPose2(self._key("x", row))
-            poses[row] = pose.x(), pose.y(), pose.theta()
-        points = _points(values, [self._key("l", row) for row in range(len(p.points_m))])
-        bias = _points(values, [self._key("b", row) for row in range(len(p.bias_sd_m))])
-        calibration = np.array(
-            [values.atVector(self._key("c", row)) for row in range(len(p.calibration))]
-        ).reshape(-1, p.calibration.shape[1] if p.calibration.ndim == 2 else 6)
+        p = self._problem
+        poses, points, calibration, bias = self._arrays(self._values)
         off = points[p.link[:, 0]] - points[p.link[:, 1]] if len(p.link) else np.empty((0, 2))
         scaled2 = np.sum(off**2, axis=1) / p.link_sd_m**2
         link_weight = 1.0 / (1.0 + scaled2 / LINK_SCALE**2) ** 2
         residual = transform_points(poses[p.fix_from], p.fix_antenna_m) - p.fix_m
         fix2 = np.sum((residual + bias[p.fix_bias]) ** 2, axis=1) / p.fix_sd_m**2
-        fix_weight = 1.0 / (1.0 + fix2 / _FIX_CAUCHY**2)
+        fix_weight = 1.0 / (1.0 + fix2 / FIX_CAUCHY**2)
         off = np.hypot(residual[:, 0], residual[:, 1])
         return Solution(poses, points, calibration, bias, cost, link_weight, fix_weight, off)
 
+    def forget_marginals(self) -> None:
+        """Free what covariances are computed from, which is most of a large graph's memory."""
+        self._known = None
+
     def _marginals(self) -> Any:
         if self._known is None:
-            self._known = self._gtsam.Marginals(self._graph, self._values)
+            self._known = self._gtsam.Marginals(self._linear(), self._values)
         return self._known
 
     def landmark_covariance(self, points: Whole) -> Floats:
@@ -254,43 +254,3 @@ class Graph:
             yaw = self._values.atPose2(self._key("x", int(row))).theta()
             turn[3 * k : 3 * k + 2, 3 * k : 3 * k + 2] = rotation(yaw)
         return np.asarray(turn @ result @ turn.T)
-
-
-def _points(values: Any, keys: list[int]) -> Floats:
-    return np.array([values.atPoint2(key) for key in keys], dtype=np.float64).reshape(-1, 2)
-
-
-def _motion_error(keys: list[int], motion: Floats, jacobian: Floats, about: Floats) -> Any:
-    first, second, calibration = keys
-    start = motion - jacobian @ about
-    toward = -jacobian
-
-    def error(_factor: Any, values: Any, jacobians: Any) -> Floats:
-        moved = values.atPose2(first).between(values.atPose2(second))
-        x, y, turn = moved.x(), moved.y(), moved.theta()
-        predicted = start + jacobian @ values.atVector(calibration)
-        if jacobians is not None:
-            jacobians[0] = np.array([[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]])
-            jacobians[1] = pose_rotation(turn)
-            jacobians[2] = toward
-        off = (turn - predicted[2] + pi) % (2.0 * pi) - pi
-        return np.array([x - predicted[0], y - predicted[1], off])
-
-    return error
-
-
-def _fix_error(keys: list[int], antenna: Floats, fix: Floats) -> Any:
-    pose_key, bias_key = keys
-    unit = np.eye(2)
-    # by a step forward, to the left, and a turn
-    moved = np.array([[1.0, 0.0, -antenna[1]], [0.0, 1.0, antenna[0]]])
-
-    def error(_factor: Any, values: Any, jacobians: Any) -> Floats:
-        pose, bias = values.atPose2(pose_key), values.atPoint2(bias_key)
-        turn = rotation(pose.theta())
-        if jacobians is not None:
-            jacobians[0] = turn @ moved
-            jacobians[1] = unit
-        return np.asarray(turn @ antenna + (pose.x(), pose.y()) + bias - fix)
-
-    return error

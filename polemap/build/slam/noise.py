@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.slam.config import SlamConfig
+from polemap.build.slam.fix_noise import FixNoise, measure_fixes, stated_fixes
 from polemap.build.slam.problem import Problem, Solution
 from polemap.vehicle.pose import transform_points
 
@@ -15,12 +16,8 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 _LAGS = 30
-_SQUARE_MOST = 9.0  # an outlier must not decide
 _SEEN_PRIOR = 200.0  # independent residuals that the settings count as
-_FIX_PRIOR = 2.0  # correlation times that they count as
 _SEEN_FACTOR = (0.25, 10.0)
-_FIX_FACTOR = (0.2, 3.0)
-_CORRELATION_S = (2.0, 120.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,17 +26,16 @@ class Noise:
 
     Attributes:
         seen_variance: on the covariance of detections, with what repeats of it.
-        fix_sd_m: of a fix at HDOP 1, an axis; fix_correlation_s: for how long it lasts.
+        fix: errors of fixes.
     """
 
     seen_variance: float
-    fix_sd_m: float
-    fix_correlation_s: float
+    fix: FixNoise
 
 
 def stated_noise(config: SlamConfig) -> Noise:
     """The noise before anything is solved."""
-    return Noise(1.0, config.gnss_sd_m, config.gnss_correlation_s)
+    return Noise(1.0, stated_fixes(config))
 
 
 def seen_residuals(problem: Problem, solution: Solution) -> Floats:
@@ -59,7 +55,7 @@ def measure_noise(
     """The noise that explains the residuals of a solution; `fix_s`, `hdop` `(c,)` of its fixes."""
     return Noise(
         _seen(problem, solution, before.seen_variance),
-        *_fixes(problem, solution, fix_s, hdop, config),
+        measure_fixes(problem, solution, fix_s, hdop, config),
     )
 
 
@@ -78,32 +74,6 @@ def _seen(problem: Problem, solution: Solution, factor: float) -> float:
     count = len(z) / total
     mean = (count * power * total + _SEEN_PRIOR) / (count + _SEEN_PRIOR)
     return float(np.clip(mean, *_SEEN_FACTOR))
-
-
-def _fixes(
-    problem: Problem, solution: Solution, fix_s: Floats, hdop: Floats, config: SlamConfig
-) -> tuple[float, float]:
-    if not len(fix_s):
-        return config.gnss_sd_m, config.gnss_correlation_s
-    poses = solution.poses[problem.fix_from]
-    antenna = transform_points(poses, problem.fix_antenna_m)
-    z = (problem.fix_m - antenna) / hdop[:, None] / config.gnss_sd_m
-    good = np.sum(z**2, axis=1) < 2.0 * _SQUARE_MOST
-    z, times = z[good], fix_s[good]
-    if len(z) < 3:
-        return config.gnss_sd_m, config.gnss_correlation_s
-    step = float(np.median(np.diff(np.sort(times))))
-    lasts = 0.5 * step * _integrated(z, problem.fix_bias[good] * 0)
-    # what lasts as long as the drive is in its poses, not in the residuals
-    span = step * len(z)
-    trust = span / (span + _FIX_PRIOR * config.gnss_correlation_s)
-    # the median, as outliers are in it: of a squared normal it is 0.455
-    variance = trust * float(np.median(z**2)) / 0.455 + 1.0 - trust
-    lasting = trust * lasts + (1.0 - trust) * config.gnss_correlation_s
-    return (
-        float(config.gnss_sd_m * np.clip(np.sqrt(variance), *_FIX_FACTOR)),
-        float(np.clip(lasting, *_CORRELATION_S)),
-    )
 
 
 def _integrated(z: Floats, owner: Whole) -> float:

@@ -13,13 +13,12 @@ from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import CALIBRATION_WALK
 from polemap.build.slam.graph import Graph
 from polemap.build.slam.noise import Noise
-from polemap.build.slam.problem import Problem, Solution
+from polemap.build.slam.problem import Problem, Solution, seen_once
 from polemap.build.slam.tables import calibration_sd
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-_SHARED = 0.3  # of the keyframes beside, that see poles of other passes where a place is seen again
 _CHUNK = 60  # anchors whose joint covariance is computed at once
 _NO_POLE_M = 60.0  # a pose without a pole so near is known to the earth only
 
@@ -37,18 +36,16 @@ class Precision:
     relative_sd_m: Floats
 
 
-def graph_to_state(
-    problem: Problem, solution: Solution, noise: Noise, config: SlamConfig, beside: int
-) -> Graph:
+def graph_to_state(problem: Problem, solution: Solution, noise: Noise, config: SlamConfig) -> Graph:
     """The solved graph with what is to be stated of fixes where the car came by once only.
 
     How large the errors of fixes are is measured where poles of several passes contradict them. A
     stretch that was seen once follows its fixes wherever they lead, so that nothing there tells
     whether they were as good: the settings count, not what was measured elsewhere.
     """
-    once = seen_once(problem, beside)[problem.fix_from]
-    scale = np.maximum(config.gnss_sd_m / noise.fix_sd_m, 1.0)
-    lasts = max(config.gnss_correlation_s / noise.fix_correlation_s, 1.0)
+    once = seen_once(problem)[problem.fix_from]
+    scale = np.maximum(config.gnss_sd_m / noise.fix.sd_m, 1.0)
+    lasts = max(config.gnss_correlation_s / noise.fix.correlation_s, 1.0)
     change = (solution.calibration - problem.calibration)[problem.motion_calibration]
     stated = replace(
         problem,
@@ -60,24 +57,6 @@ def graph_to_state(
         bias_share=np.where(once, problem.bias_share ** (1.0 / lasts), problem.bias_share),
     )
     return Graph(stated, (calibration_sd(), CALIBRATION_WALK), bias_m=solution.bias_m)
-
-
-def seen_once(problem: Problem, beside: int) -> NDArray[np.bool_]:
-    """Poses `(n,)` about which hardly a pole was seen by another pass, or is known.
-
-    `beside` poses before and after are asked too.
-    """
-    shared = np.zeros(len(problem.points_m), dtype=np.bool_)
-    shared[problem.link.ravel()] = True
-    seen = np.bincount(problem.seen_from, shared[problem.seen], len(problem.poses))
-    # of a neighbourhood, within one drive
-    begin = np.setdiff1d(np.arange(len(problem.poses)), problem.motion_from + 1)
-    total = np.concatenate([[0.0], np.cumsum(seen >= 1.0)])
-    row = np.arange(len(problem.poses))
-    first = np.maximum(row - beside, begin[np.searchsorted(begin, row, side="right") - 1])
-    ends = np.append(begin[1:], len(row))
-    last = np.minimum(row + beside + 1, ends[np.searchsorted(begin, row, side="right") - 1])
-    return np.asarray((total[last] - total[first]) < _SHARED * (last - first))
 
 
 def pose_precision(graph: Graph, solution: Solution, anchors: Whole, starts: Whole) -> Precision:

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
+# of the keyframes beside, that see poles of other passes where a place is seen again
+_SHARED = 0.3
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
@@ -34,6 +37,7 @@ class Problem:
         origin: `(f,)` poses that are held where they are: the origin of a local frame.
         known: `(g,)` landmarks of a map that is there already; known_m: `(g, 2)`,
             known_covariance_m2: `(g, 2, 2)` where it has them.
+        beside: poses on each side that show what one of them does.
     """
 
     poses: Floats
@@ -64,6 +68,7 @@ class Problem:
     known: Whole = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     known_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
     known_covariance_m2: Floats = field(default_factory=lambda: np.empty((0, 2, 2)))
+    beside: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,3 +90,21 @@ class Solution:
     link_weight: Floats
     fix_weight: Floats
     fix_residual_m: Floats
+
+
+def seen_once(problem: Problem) -> NDArray[np.bool_]:
+    """Poses `(n,)` about which hardly a pole was seen by another pass, or is known.
+
+    The poses `problem.beside` before and after are asked too.
+    """
+    shared = np.zeros(len(problem.points_m), dtype=np.bool_)
+    shared[problem.link.ravel()] = True
+    seen = np.bincount(problem.seen_from, shared[problem.seen], len(problem.poses))
+    # of a neighbourhood, within one drive
+    begin = np.setdiff1d(np.arange(len(problem.poses)), problem.motion_from + 1)
+    total = np.concatenate([[0.0], np.cumsum(seen >= 1.0)])
+    row = np.arange(len(problem.poses))
+    first = np.maximum(row - problem.beside, begin[np.searchsorted(begin, row, side="right") - 1])
+    ends = np.append(begin[1:], len(row))
+    last = np.minimum(row + problem.beside + 1, ends[np.searchsorted(begin, row, side="right") - 1])
+    return np.asarray((total[last] - total[first]) < _SHARED * (last - first))

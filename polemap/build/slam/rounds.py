@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from polemap.build.config import MappingConfig
 from polemap.build.slam.association import Seen, poles, see
 from polemap.build.slam.config import SlamConfig
-from polemap.build.slam.constants import CALIBRATION_WALK, ROUNDS_MOST
+from polemap.build.slam.constants import CALIBRATION_WALK, KEYFRAME_M, ROUNDS_MOST, SUBMAP_M
 from polemap.build.slam.graph import LINK_SCALE, Graph
 from polemap.build.slam.known import KnownPoles
 from polemap.build.slam.loop import STRAIN_PROBABILITY, Found, Loop
@@ -52,6 +52,8 @@ class State:
 class Builder:
     """The rounds over the same drives; see the module."""
 
+    beside = round(SUBMAP_M / KEYFRAME_M) // 2  # see `Problem`
+
     def __init__(
         self,
         scans: Sequence[Sequence[Detections]],
@@ -88,6 +90,7 @@ class Builder:
         """Solve, with links that pull from afar first where `scales` says so."""
         sds = (calibration_sd(), CALIBRATION_WALK)
         problem = build_problem(routes, seen.sightings, link, noise, extra_m=extra_m)
+        problem = replace(problem, beside=self.beside)
         if self._known is not None:
             problem = self._known.hold(problem, seen)
             scales = scales or _SCALES[-1:]
@@ -180,6 +183,7 @@ def close_loops(builder: Builder, state: State) -> tuple[State, Closed]:
         poses = state.solution.poses[anchors]
         known = set(loops) | {pair for pair, times in refused.items() if times >= 2}
         found = builder.find_loops(submaps, poses, anchors, state.graph, known)
+        state.graph.forget_marginals()
         ambiguous = found.ambiguous
         loops |= {(loop.first, loop.second): loop for loop in found.loops}
         if not found.loops:

@@ -22,7 +22,7 @@ from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.graph import Graph
 from polemap.build.slam.initial import lay_on_fixes
 from polemap.build.slam.loop import Found, Loop
-from polemap.build.slam.loops import OVERLAP_M, SEARCH_SD_M, find_loops
+from polemap.build.slam.loops import OVERLAP_M, SEARCH_SD_M, find_loops, recall_loops
 from polemap.build.slam.motion import Increments, MotionNoise
 from polemap.build.slam.nodes import placed, poles_of
 from polemap.build.slam.noise import Noise, stated_noise
@@ -45,6 +45,7 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 _REGION_M = 150.0
+_RECALLED_MOST = 1000  # local maps whose joint covariance is held at once, 30 km of way
 _REACH_M = OVERLAP_M + 3.0 * SEARCH_SD_M
 _NO_ODOMETRY = OdometryStream(np.empty(0), np.empty(0), np.empty(0), np.empty(0))
 
@@ -74,6 +75,8 @@ class CondensedRoute(Route):
 
 class CondensedBuilder(Builder):
     """The rounds over condensed drives."""
+
+    beside = 0
 
     def __init__(
         self,
@@ -143,15 +146,19 @@ class CondensedBuilder(Builder):
         graph: Graph,
         known: Collection[tuple[int, int]],
     ) -> Found:
-        """See `Builder`; region by region."""
+        """See `Builder`; region by region, or by patterns where it is not known where to look."""
         cell = np.floor(poses[:, :2] / _REGION_M).astype(np.int64)
         loops: list[Loop] = []
         ambiguous = at_odds = 0
+        lost = False
         for place in np.unique(cell, axis=0):
             middle = (place + 0.5) * _REGION_M
             off = np.abs(poses[:, :2] - middle).max(axis=1)
             rows = np.flatnonzero(off <= 0.5 * _REGION_M + _REACH_M)
             covariance = graph.covariance(anchors[rows], np.empty(0, dtype=np.int64))
+            index = 3 * np.arange(len(rows))
+            spread = covariance[index, index] + covariance[index + 1, index + 1]
+            lost |= bool((spread > SEARCH_SD_M**2).any())
             own = (cell[rows] == place).all(axis=1)
             found = find_loops(
                 [submaps[row] for row in rows.tolist()], poses[rows], covariance, self.config,
@@ -160,7 +167,10 @@ class CondensedBuilder(Builder):
             loops += found.loops
             ambiguous += found.ambiguous
             at_odds += found.at_odds
-        return Found(tuple(loops), ambiguous, at_odds)
+        if not loops and lost and len(submaps) <= _RECALLED_MOST:
+            covariance = graph.covariance(anchors, np.empty(0, dtype=np.int64))
+            return recall_loops(submaps, poses, covariance, self.config, known)
+        return Found(tuple(loops), ambiguous, at_odds, lost)
 
 
 def solve_condensed(

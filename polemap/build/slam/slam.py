@@ -289,7 +289,7 @@ def result_of(
     starts = pose_starts(state.routes)
     submaps = np.array([submap.anchor for submap in builder.submaps(state)], dtype=np.int64)
     anchors = anchor_keyframes(starts, submaps, every)
-    stated = graph_to_state(state.problem, state.solution, state.noise, builder.config, every // 2)
+    stated = graph_to_state(state.problem, state.solution, state.noise, builder.config)
     state = replace(state, graph=stated)
     precision = pose_precision(state.graph, state.solution, anchors, starts)
     references, trajectories = [], []

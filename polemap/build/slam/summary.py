@@ -58,8 +58,8 @@ def summarise(
         detection_residual_m=float(np.median(residual)) if len(residual) else float("nan"),
         links=len(problem.link),
         links_given_up=given_up,
-        gnss_sd_m=state.noise.fix_sd_m,
-        gnss_correlation_s=state.noise.fix_correlation_s,
+        gnss_sd_m=state.noise.fix.sd_m,
+        gnss_correlation_s=state.noise.fix.correlation_s,
         absolute=any(len(route.fix_s) for route in state.routes),
         places=_places(state, closed, starts),
     )

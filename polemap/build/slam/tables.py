@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from polemap.build.slam.constants import (
     CURVATURE_OFFSET_SD_RADPM,
-    GNSS_WHITE_M,
     POLE_FLOOR_M,
     SAME_POLE_SD_M,
     SIDESLIP_SD_RAD,
@@ -120,7 +119,7 @@ def build_problem(
         ),
         fix_m=np.concatenate([route.fix_m for route in routes]),
         fix_antenna_m=np.concatenate([c[1] for c in columns]),
-        fix_sd_m=np.concatenate([_white(noise) * route.hdop for route in routes]),
+        fix_sd_m=np.concatenate([noise.fix.white_m * route.hdop for route in routes]),
         bias_sd_m=np.concatenate([c[2] for c in columns]),
         bias_share=np.concatenate([c[3] for c in columns]),
         link=link,
@@ -136,15 +135,9 @@ def _route_columns(route: Route, noise: Noise) -> tuple[Whole, Floats, Floats, F
     keyframe = route.keyframe_of(route.fix_s)
     offset = route.from_keyframe(keyframe, route.fix_s)
     antenna = rotate(np.broadcast_to(route.antenna_m, (len(offset), 2)), offset[:, 2])
-    lasting = np.sqrt(noise.fix_sd_m**2 - _white(noise) ** 2)
     share = np.zeros(len(route.fix_s))
-    share[1:] = np.exp(-np.diff(route.fix_s) / noise.fix_correlation_s)
-    return keyframe, antenna + offset[:, :2], lasting * route.hdop, share
-
-
-def _white(noise: Noise) -> float:
-    """The part of a fix's error that does not last; most of it does."""
-    return min(GNSS_WHITE_M, 0.5 * noise.fix_sd_m)
+    share[1:] = np.exp(-np.diff(route.fix_s) / noise.fix.correlation_s)
+    return keyframe, antenna + offset[:, :2], noise.fix.lasting_m * route.hdop, share
 
 
 def calibration_sd() -> Floats:

@@ -76,3 +76,25 @@ def test_what_is_metres_off_is_no_correction_but_a_return_and_says_so():
     assert back.pose == (0.2, 14.0, 0.0)
     assert back.jump_m == pytest.approx(14.0, abs=0.1)
     assert np.allclose(back.covariance, 0.01 * np.eye(3))
+
+
+@pytest.mark.parametrize("counts", [Counts(), Counts(reinitializations=1)])
+def test_with_a_larger_bound_the_output_comes_back_without_a_step(counts):
+    limiter = OutputLimiter(step_beyond_m=10.0)
+    limiter.limit(state(0.0))
+    last, said = 0.0, 0.0
+    for tick in range(1, 400):
+        answer = limiter.limit(state(tick / 100, x=0.1 * tick, y=4.0, counts=counts))
+        assert answer.flag == ""
+        assert 0.0 <= answer.pose[1] - last <= CORRECTION_MPS / 100 + 1e-9
+        last = answer.pose[1]
+        # what is outstanding is stated, so that it lies within one deviation
+        said = math.sqrt(answer.covariance[1, 1])
+        assert abs(4.0 - last) <= said
+    assert last == pytest.approx(4.0)
+    beyond = limiter.limit(state(4.0, x=40.0, y=15.0, counts=counts))
+    assert (beyond.flag, beyond.pose[1]) == ("recovered", 15.0)
+    anew = limiter.limit(
+        state(4.01, x=40.1, y=30.0, counts=Counts(reinitializations=counts.reinitializations + 1))
+    )
+    assert anew.flag == "reinitialized"
