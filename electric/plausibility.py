@@ -16,7 +16,7 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.units import ANGLE_UNITS, SPEED_UNITS, named_unit
 from polemap.electric.clock_rate import stretched_clock
 from polemap.electric.gaps import find_gaps
-from polemap.electric.signals import SignalLog
+from polemap.electric.signals import LATE, SignalLog
 from polemap.vehicle.parameters import Car
 
 Floats = NDArray[np.float64]
@@ -25,12 +25,14 @@ _GRAVITY = 9.80665
 _SPEED_MPS = 3.0
 _ROWS_MIN = 20
 _CORRELATION_MIN = 0.7
+# arrivals that are earlier than what arrives, and later than any camera or receiver is
+_EARLY_SHARE, _LATE_MAX_S = 0.02, 2.0
 _SPEED_MAX_MPS, _YAW_RATE_MAX_RADPS, _ANGLE_MAX_RAD = 100.0, 3.0, 1.0
 
 
 def check_log(log: SignalLog, car: Car) -> list[Finding]:
     """What in a signal log cannot be right."""
-    found = _gaps(log) + _clock_rate(log) + _ranges(log)
+    found = _gaps(log) + _clock_rate(log) + _arrivals(log) + _ranges(log)
     ranged = {finding.stream for finding in found if finding.severity == "error"}
     for check in (_lateral, _steering, _longitudinal, _speeds, _course, _sideslip):
         found += [finding for finding in check(log, car) if finding.stream not in ranged]
@@ -74,6 +76,36 @@ def _clock_rate(log: SignalLog) -> list[Finding]:
             f"time was taken to run {clock.times} times as fast; mend the stamps of the log",
         )
     ]  # fmt: skip
+
+
+def _arrivals(log: SignalLog) -> list[Finding]:
+    """Arrivals against the stamps of what arrives."""
+    found = []
+    for first, _, name in LATE.values():
+        if not (log.has(first) and log.has(name)):
+            continue
+        delay = (log.columns[name] - log.stamp_s)[np.isfinite(log.columns[first])]
+        delay = delay[np.isfinite(delay)]
+        if not len(delay):
+            continue
+        early, median = int(np.sum(delay < -1e-3)), float(np.median(delay))
+        seen = ""
+        if early > _EARLY_SHARE * len(delay):
+            seen = (
+                f"{early} of {len(delay)} arrive before their stamps, {median:.4g} s in the median"
+            )
+            told = "such values were heard at their stamps"
+        elif median > _LATE_MAX_S:
+            seen, told = (
+                f"values arrive {median:.4g} s after their stamps",
+                "they were heard so late",
+            )
+        if seen:
+            found.append(
+                Finding("arrival", "warning", name, seen, f"0 to {_LATE_MAX_S:g} s",
+                        f"{told}; write {name} in the clock of stamp_s")
+            )  # fmt: skip
+    return found
 
 
 def _ranges(log: SignalLog) -> list[Finding]:

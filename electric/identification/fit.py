@@ -110,7 +110,7 @@ def identify(
     """
     for column in ("road_wheel_angle_rad", YAW_RATE, "vx_mps"):
         if not all(log.has(column) for log in logs):
-            raise VehicleError(f"identification needs the column {column}")
+            raise VehicleError(f"identification needs values of {column} in every span")
     stretches = [rows for log in logs for rows in rows_of(log)]
     _require_excitation(stretches)
     start = replace(

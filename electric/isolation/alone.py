@@ -39,6 +39,7 @@ class OwnChecks:
 
     Attributes:
         still_s: `(5,)` how long each of `FAST` has kept its value.
+        base: `(5,)` what each scatters by itself, 0 until learned.
     """
 
     def __init__(self, stamp_s: float) -> None:
@@ -48,7 +49,7 @@ class OwnChecks:
         self._longest_s = np.zeros(5)
         self._started = np.zeros(5, dtype=bool)
         self._first: list[Floats] = []
-        self._base = np.zeros(5)
+        self.base = np.zeros(5)
         self._share = np.zeros(5)
         self.still_s = np.zeros(5)
 
@@ -65,7 +66,7 @@ class OwnChecks:
         slope = np.abs(values[-1] - values[0]) / (len(values) - 1)
         if not self._noise(second, slope, moving):
             return found
-        sd = np.maximum(self._base, LEAST_SD)
+        sd = np.maximum(self.base, LEAST_SD)
         limit = np.maximum(LEAST_SPIKE, SPIKE_SD * sd)
         turned = (first[1:] * first[:-1] < 0.0) & (np.abs(first[1:]) > limit)
         spiked = (turned & (np.abs(first[:-1]) > limit)).any(axis=0)
@@ -114,12 +115,12 @@ class OwnChecks:
         if len(self._first) < _LEARN_TICKS:
             if moving:
                 self._first.append(sd)
-                self._base = np.maximum(np.median(self._first, axis=0), LEAST_SD)
+                self.base = np.maximum(np.median(self._first, axis=0), LEAST_SD)
             return False
         if moving:
             self._share = _FADE * self._share + (1.0 - _FADE) * (
-                sd > np.maximum(_NOISY * self._base, _STAIRS * slope)
+                sd > np.maximum(_NOISY * self.base, _STAIRS * slope)
             )
-            self._base = self._base * exp(_LEARN_RATE) ** np.sign(sd - self._base)
-            self._base = np.maximum(self._base, LEAST_SD)
+            self.base = self.base * exp(_LEARN_RATE) ** np.sign(sd - self.base)
+            self.base = np.maximum(self.base, LEAST_SD)
         return True

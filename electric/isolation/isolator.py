@@ -133,6 +133,15 @@ class Isolator:
             if moving and late.silent(now_s):
                 self._judgement.accuse(name, now_s, 0.0, "silent")
 
+    def noise(self, name: str) -> float:
+        """What a fast sensor scatters by itself, 0 until that is learned."""
+        return float(self._own.base[FAST.index(name)])
+
+    def leapt(self, name: str, size: float, stamp_s: float) -> None:
+        """A sensor has made a step that no car makes."""
+        if name in self.heard and self.speed.mps > SLOW_MPS:
+            self._judgement.accuse(name, stamp_s, 0.0, f"leaps by {size:.2g} within a row")
+
     def captured(self, kind: str, stamp_s: float) -> None:
         """A camera or a GPS measures now."""
         name = LATE.get(kind)

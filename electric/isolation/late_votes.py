@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from polemap.electric.config import EstimatorConfig
-from polemap.electric.isolation.alone import GYRO
+from polemap.electric.isolation.alone import GYRO, LATERAL
 from polemap.electric.isolation.families import CAMERA, GPS, WINDOWS_S, Families
 from polemap.electric.isolation.judgement import Judgement
 from polemap.electric.isolation.late import Event, LateSensor
@@ -13,6 +13,10 @@ from polemap.electric.isolation.suspicion import TOGETHER_S, Suspicions
 
 TURNS, GAINS = "turns by {:.2g} rad/s otherwise than", "gains {:.2g} m/s otherwise than"
 """How votes of yaw rate and speed contradict the others."""
+# a course that leaps: within so long, what ay errs by, what side-slip moves between two fixes in a
+# slide, deviations of both courses
+_LEAP_WITHIN_S, _LATERAL_MPS2, _LATERAL_SHARE = 1.1, 1.5, 0.2
+_LEAP_SLIP_RAD, _LEAP_SD = 0.06, 8.0
 # from value to value side-slip moves a course, and an unknown bend a heading, by so much at most
 _SLIP_CHANGE_RAD, _LANE_CHANGE_RAD = 0.03, 0.012
 
@@ -81,8 +85,31 @@ class LateVotes:
             self._judgement.accuse(name, arrival_s, 0.0, "constant")
         if name == GPS:
             sd_rad = max(sd_rad, self._config.speed_sd_mps / max(self._watch.speed.mps, 1.0))
+            if self._course_leaps(late.events[-2], late.events[-1], sd_rad):
+                self._judgement.accuse(name, arrival_s, 0.0, "its course leaps")
         if late.noisy(sd_rad) and GYRO not in self._suspicions.faulty:
             self._judgement.accuse(name, arrival_s, 0.0, "noise of many times its own")
+
+    def _course_leaps(self, last: Event, fix: Event, sd_rad: float) -> bool:
+        """Whether a course turns within a fix as neither ay over the speed nor the gyro does.
+
+        A course has no other way to turn than the lateral acceleration, a slide's too; the gyro,
+        from which side-slip may set it apart, vouches for that accelerometer.
+        """
+        if not {GYRO, LATERAL} <= self._watch.heard - self._suspicions.faulty:
+            return False
+        start, end = last.moment, fix.moment
+        t = end.stamp_s - start.stamp_s
+        if t > _LEAP_WITHIN_S:
+            return False
+        turned = fix.angle_rad - last.angle_rad
+        off = turned - (end.lateral - start.lateral)
+        by_gyro = turned - (end.gyro - start.gyro)
+        size = (end.lateral_size - start.lateral_size) * _LATERAL_SHARE
+        speed = max((end.distance - start.distance) / t, 1.0)
+        noise = _LEAP_SD * max(sd_rad, self._config.course_sd_rad)
+        limit = size + _LATERAL_MPS2 / speed * t + noise
+        return abs(off) > limit and abs(by_gyro) > _LEAP_SLIP_RAD + noise and off * by_gyro > 0.0
 
     def _fixes(self, first: Event, last: Event, arrival_s: float, window_s: float) -> None:
         pair, start, end = (first, last), first.moment, last.moment

@@ -24,6 +24,7 @@ class SpeedWatch:
 
     Attributes:
         speed: the wheels', or what stands in for it.
+        heard: names of the sensors that have spoken.
     """
 
     def __init__(
@@ -34,13 +35,13 @@ class SpeedWatch:
         heard: set[str],
         gps: LateSensor,
     ) -> None:
-        self._motion, self._suspicions, self._heard, self._gps = motion, suspicions, heard, gps
+        self._motion, self._suspicions, self.heard, self._gps = motion, suspicions, heard, gps
         self._faulty = suspicions.faulty
         self.speed = TrustedSpeed(speed_mps, motion)
 
     def by_ax(self) -> bool:
         """Whether the accelerometer ahead tells what the car gains."""
-        return FORWARD in self._heard and FORWARD not in self._faulty
+        return FORWARD in self.heard and FORWARD not in self._faulty
 
     def follow(self, wheel_mps: float, now_s: float) -> str | None:
         """Take in the wheels' speed of now; what speaks against them."""
@@ -49,7 +50,7 @@ class SpeedWatch:
             self.speed.carry(by_ax=self.by_ax())
             return None
         gone = self.speed.leaps(wheel_mps, now_s - last.stamp_s)
-        known = WHEEL_SPEED in self._heard and self._motion.before(1.0) is not None
+        known = WHEEL_SPEED in self.heard and self._motion.before(1.0) is not None
         if gone and known and self.speed.mps > SLOW_MPS:
             return f"leaps by {wheel_mps - self.speed.mps:.2g} m/s"
         self.speed.follow(wheel_mps)
@@ -82,7 +83,7 @@ class SpeedWatch:
             Its name and the evidence; None where they agree, or where one is faulty already.
         """
         last = self._gps.events[-1]
-        if WHEEL_SPEED not in self._heard:
+        if WHEEL_SPEED not in self.heard:
             return None
         differ = not families.same_speed(last)
         if WHEEL_SPEED in self._faulty:
@@ -102,7 +103,7 @@ class SpeedWatch:
         start, end = first.moment, last.moment
         guilty, t = WHEEL_SPEED, end.stamp_s - start.stamp_s
         turned = end.gyro - start.gyro
-        if {LATERAL, GYRO} <= self._heard - self._faulty and abs(turned) > _TURNING_RADPS * t:
+        if {LATERAL, GYRO} <= self.heard - self._faulty and abs(turned) > _TURNING_RADPS * t:
             # ay over the yaw rate is a third speed; the lateral turn is the integral of ay / v
             third = (end.lateral - start.lateral) / turned * (end.distance - start.distance) / t
             if abs(third - last.moment.wheel) < abs(third - last.other):

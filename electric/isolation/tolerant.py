@@ -23,6 +23,7 @@ from polemap.electric.estimators.base import (
 from polemap.electric.estimators.forwarding import Forwarding
 from polemap.electric.isolation import alone, families
 from polemap.electric.isolation.isolator import Isolator
+from polemap.electric.isolation.leaps import Leaps
 from polemap.electric.isolation.suspicion import Fault
 from polemap.vehicle.parameters import Car
 
@@ -40,6 +41,9 @@ _OF_INPUT = (alone.STEERING, alone.WHEEL_SPEED, "", alone.FORWARD, alone.LATERAL
 RETURN_S = 0.5
 # what a fault left in a course is forgotten so slowly that the heading follows, not the side-slip
 COURSE_TIME_S, _COURSE_LEAST_RAD = 60.0, 0.03
+# rates of steering and gyro that no car reaches, and what their vibration adds
+_STEERING_RATE, _STEERING_LEAP_RAD = 1.2, 0.01
+_GYRO_RATE, _GYRO_LEAP_RADPS = 8.0, 0.05
 # an input further from the last one than any car moves it in a step is held for so many steps
 _JUMP_STEPS = 3
 _STEERING, _SPEED, _FORWARD, _LATERAL, _YAW_RATE = 0.06, 1.5, 12.0, 12.0, 0.3
@@ -54,7 +58,7 @@ class FaultTolerant(Forwarding):
     the yaw rate by the steady bend, yaw rate from the steering or from ay / v, ay from v times the
     yaw rate, ax from the wheels, speed from ax and GPS, the lane's bend from the car's path. While
     no sensor is faulty the estimator is told every value as it came, but for an input that jumps,
-    which is held for up to three steps.
+    which is held for up to three steps, and a steering or gyro that leaps as no car does (`Leaps`).
 
     Args:
         needs: the kinds without which the estimator does not work: where these are a yaw rate and
@@ -82,6 +86,8 @@ class FaultTolerant(Forwarding):
         self._jumped = [0] * len(_JUMPS)
         self._stand_in = [0.0] * len(_JUMPS)
         self._stamp_s = 0.0
+        self._steering_leaps = Leaps(_STEERING_RATE, _STEERING_LEAP_RAD)
+        self._gyro_leaps = Leaps(_GYRO_RATE, _GYRO_LEAP_RADPS)
         self._course_off_rad, self._course_since_s = 0.0, 0.0
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
@@ -96,6 +102,11 @@ class FaultTolerant(Forwarding):
             and -_YAW_RATE < inputs[5] - last[5] < _YAW_RATE
         ):
             inputs = self._without_jumps(inputs, last)
+        if self._gyro_leaps.held:
+            inputs = inputs._replace(yaw_rate_radps=self._gyro_leaps.before)
+        if self._steering_leaps.hold_back(heard[0], stamp_s):
+            inputs = inputs._replace(road_wheel_angle_rad=self._steering_leaps.before)
+            self._leapt(alone.STEERING, self._steering_leaps, heard[0], stamp_s)
         self._last = inputs
         if isolator is None:
             isolator = Isolator(self._car, self._config, self._faults, stamp_s, inputs.speed_mps)
@@ -107,9 +118,17 @@ class FaultTolerant(Forwarding):
                     self._returned_s[name] = stamp_s
                     if name == families.GPS:
                         self._course_off_rad, self._course_since_s = float("nan"), stamp_s
+                self._steering_leaps.noise = isolator.noise(alone.STEERING)
+                self._gyro_leaps.noise = isolator.noise(alone.GYRO)
         if self._faulty or self._returned_s:
             inputs = self._mended(isolator, inputs)
         self._inner.step(stamp_s, inputs)
+
+    def _leapt(self, name: str, leaps: Leaps, value: float, stamp_s: float) -> None:
+        """Accuse a sensor whose step has lasted."""
+        size = leaps.lasts(value, stamp_s)
+        if size and self._isolator is not None:
+            self._isolator.leapt(name, size, stamp_s)
 
     def _without_jumps(self, inputs: Inputs, last: Inputs) -> Inputs:
         """A jump is held back until it lasts: single wild values move nothing."""
@@ -175,8 +194,15 @@ class FaultTolerant(Forwarding):
                 isolator.arrived(kind, stamp_s, first, second, arrival_s, sd_rad)
                 if kind == GPS and self._course_off_rad:
                     value = (self._course(isolator, first), *value[1:])  # type: ignore[index]
-            elif name not in isolator.heard:
-                isolator.heard.add(name)
+            else:
+                if name not in isolator.heard:
+                    isolator.heard.add(name)
+                if kind == YAW_RATE and self._gyro_leaps.hold_back(value, stamp_s):  # type: ignore[arg-type]
+                    self._leapt(alone.GYRO, self._gyro_leaps, float(value), stamp_s)  # type: ignore[arg-type]
+                    isolator.withheld(name)
+                    return
+                if self._gyro_leaps.held and name in self._together:
+                    return
             if self._faulty and (
                 name in self._faulty
                 or (name in self._together and not self._together.isdisjoint(self._faulty))

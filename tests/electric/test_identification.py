@@ -142,7 +142,7 @@ def test_a_gap_is_no_drive() -> None:
     [
         (lambda c: {**c, "yaw_rate_radps": 0.001 * c["yaw_rate_radps"]}, "hardly turns"),
         (lambda c: {**c, "vx_mps": 0.01 * c["vx_mps"]}, "above 3 m/s"),
-        (lambda c: {k: v for k, v in c.items() if k != "vx_mps"}, "needs the column vx_mps"),
+        (lambda c: {k: v for k, v in c.items() if k != "vx_mps"}, "needs values of vx_mps"),
     ],
 )
 def test_what_cannot_tell_is_refused(change: object, message: str) -> None:

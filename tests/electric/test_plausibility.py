@@ -57,3 +57,19 @@ def test_stamps_in_milliseconds_and_gaps_are_found() -> None:
     keep = (log.stamp_s < 8.0) | (log.stamp_s > 10.0)
     gapped = SignalLog(log.stamp_s[keep], {k: v[keep] for k, v in log.columns.items()})
     assert [f.kind for f in check_log(gapped, CAR)] == ["gap"]
+
+
+def arriving(later_s: float) -> SignalLog:
+    log = made_log(CAR)
+    arrival = np.where(np.isfinite(log.columns["course_rad"]), log.stamp_s + later_s, np.nan)
+    return SignalLog(log.stamp_s, {**log.columns, "gnss_arrival_s": arrival})
+
+
+def test_arrivals_of_another_clock_are_told() -> None:
+    """Before their stamps, or later than any receiver is: both were heard without a word."""
+    assert check_log(arriving(0.1), CAR) == []
+    for later_s, said in ((-1.7e9, "arrive before their stamps"), (30.0, "arrive 30 s after")):
+        (finding,) = check_log(arriving(later_s), CAR)
+        assert (finding.kind, finding.severity) == ("arrival", "warning")
+        assert finding.stream == "gnss_arrival_s"
+        assert said in finding.value
