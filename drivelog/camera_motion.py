@@ -54,7 +54,8 @@ class CameraTrack:
             z forward). Over steps that are unknown the last motion is taken to go on.
         planar: one row for each step that is known.
         unknown: what stood against the other steps, counted.
-        disparity_offset_px: constant error of the disparities as learned by the end.
+        disparity_offset_px: error of the disparities in the middle of the picture, as learned by
+            the end.
     """
 
     stamp_s: Floats
@@ -102,7 +103,7 @@ def track_camera(drive: Drive, advance: Callable[[int], None]) -> CameraTrack:
             unknown[motion.kind] += 1
         poses[row] = poses[row - 1] @ going_on
     table = np.array(rows).reshape(-1, 7)
-    offset = odometry.disparity_offset_px
+    offset = float(odometry.disparity_error.coefficients_px[0])
     stamps = np.array(drive.frame_stamps_s)
     return CameraTrack(stamps, poses, PlanarMotion(*table.T), dict(unknown), offset)
 

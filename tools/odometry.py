@@ -98,7 +98,7 @@ def _summary(track: CameraTrack, out: Path, table: Path | None) -> str:
         + (f" ({_reasons(track)})" if track.unknown else ""),
         f"stated deviation of a step (median): speed {np.median(planar.speed_sd_mps):.3f} m/s, "
         f"yaw rate {np.degrees(np.median(planar.yaw_rate_sd_radps)):.3f} deg/s",
-        f"constant error of the disparities, learned: {track.disparity_offset_px:+.2f} px",
+        f"error of the disparities amid the picture, learned: {track.disparity_offset_px:+.2f} px",
     ]
     if table is not None:
         lines.append(f"wrote {table}")

@@ -14,30 +14,19 @@ from numpy.typing import NDArray
 
 from polemap.stereo.errors import StereoError
 from polemap.stereo.odometry.corners import (
-    Bools,
-    Floats,
     Grey,
     bits_of,
     eight_bit,
     find_corners,
     follow,
+    grey_shares,
     same_exposure,
 )
-from polemap.stereo.odometry.motion import (
-    AGREEMENT,
-    MotionFit,
-    fit_motion,
-    move,
-    project,
-    project_jacobian,
-    triangulate,
-    vehicle_step,
-)
+from polemap.stereo.odometry.disparity_error import TERMS, DisparityError
+from polemap.stereo.odometry.motion import AGREEMENT, MotionFit, fit_motion, vehicle_step
+from polemap.stereo.odometry.sights import Bools, Floats, move, points_of, project
 from polemap.stereo.rig import StereoRig
 
-# noise of a corner's columns and row in pixels: Lucas-Kanade on these windows; residuals of
-# rendered drives with known motion agree (their NEES stands in docs/camera_odometry.md)
-CORNER_SD_PX = 0.3
 # points are held against a motion that has errors of its own, so they are forgotten a little
 _FORGET = 1.1
 # fewer points that agree than these are no measurement of six numbers
@@ -53,13 +42,6 @@ _DISPARITY_MIN_PX = 0.5
 _FIRST_DISPARITY_PX = 10.0
 _LEVELS, _LEVELS_UNSURE = 2, 4
 _NEAREST_M = 1.5
-# Rectification leaves a constant error in all disparities (0.1 to 0.3 px on KITTI and on rendered
-# pairs as the tracker sees them), a percent or two of every step. Frames share their points, so
-# that each counts for a tenth of what it says; a calibration changes by temperature, slowly.
-_OFFSET_SD_PX = 0.3
-_OFFSET_TRUST = 0.1
-_OFFSET_WALK_PX = 0.002
-_OFFSET_MAX_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,23 +74,25 @@ class CameraOdometry:
         rig: the camera.
 
     Attributes:
-        disparity_offset_px: learned constant error of the disparities, subtracted from them.
+        disparity_error: learned error of the disparities, subtracted from them.
     """
 
     def __init__(self, rig: StereoRig) -> None:
         self._rig, self._bits = rig, 8
-        self._noise = CORNER_SD_PX**2 * np.eye(3)
         self._before: Grey | None = None
+        self._shares: Floats = np.empty(0)
         self._stamp_s = 0.0
         self._step_s = 0.0
         self._last = np.eye(4)
         self._sure = False
         self._row_offset_px = 0.0
-        self.disparity_offset_px = 0.0
-        self._offset_variance_px2 = _OFFSET_SD_PX**2
+        self.disparity_error = DisparityError(rig)
+        # where points are seen, where all that was seen of them says they are, and how well
         self._seen: Floats = np.empty((0, 3))
-        self._points: Floats = np.empty((0, 3))
+        self._sights: Floats = np.empty((0, 3))
         self._spreads: Floats = np.empty((0, 3, 3))
+        # derivative of the sights by the error of the disparities
+        self._by_error: Floats = np.empty((0, 3, TERMS))
 
     def advance(
         self,
@@ -130,7 +114,7 @@ class CameraOdometry:
             corners = np.concatenate([places, find_corners(views[0], places)])
             seen, good = self._match_right(views, corners, guess)
             old = len(places)
-            tracked = rows[good[:old]], seen[:old][good[:old]]
+            tracked = rows[good[:old]], self.disparity_error.removed(seen[:old][good[:old]])
             agreed = self._fit(*tracked, step_s)
             share = -1.0 if agreed is None else float(agreed.inliers.mean())
             if share > best or fit is None:
@@ -139,10 +123,13 @@ class CameraOdometry:
                 break
         (rows, sights), fresh = chosen
         motion = self._measure(rows, sights, fit, step_s)
-        points, spreads = triangulate(self._rig, fresh, self._noise)
+        fresh = self.disparity_error.removed(fresh)
+        by_fresh = np.zeros((len(fresh), 3, TERMS))
+        by_fresh[:, 2] = self.disparity_error.terms(fresh)
         self._seen = np.concatenate([self._seen, fresh])
-        self._points = np.concatenate([self._points, points])
-        self._spreads = np.concatenate([self._spreads, spreads])
+        self._sights = np.concatenate([self._sights, fresh])
+        self._spreads = np.concatenate([self._spreads, self.disparity_error.noise_px2(fresh)])
+        self._by_error = np.concatenate([self._by_error, by_fresh])
         self._before, self._stamp_s, self._step_s = views[0], stamp_s, step_s
         return motion
 
@@ -157,18 +144,20 @@ class CameraOdometry:
         if self._before is not None and not stamp_s > self._stamp_s:
             raise StereoError(f"stamp {stamp_s:.6f} s does not follow {self._stamp_s:.6f} s")
         self._bits = max(self._bits, bits_of(left), bits_of(right))
-        view = eight_bit(left, self._bits)
+        views = eight_bit(left, self._bits), eight_bit(right, self._bits)
+        shares, right_shares = (grey_shares(view) for view in views)
         if self._before is not None:
-            self._before = same_exposure(self._before, view)
-        return view, same_exposure(eight_bit(right, self._bits), view)
+            self._before = same_exposure(self._before, self._shares, shares)
+        self._shares = shares
+        return views[0], same_exposure(views[1], right_shares, shares)
 
     def _track(
         self, view: Grey, step_s: float, levels: int
     ) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Rows of the points that were found again, their places, and their disparity guessed."""
-        if self._before is None or not len(self._points):
+        if self._before is None or not len(self._sights):
             return np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty(0)
-        expected = move(self._predicted(step_s), self._points)
+        expected = move(self._predicted(step_s), points_of(self._rig, self._sights))
         front = expected[:, 2] > _NEAREST_M
         expected[~front] = (0.0, 0.0, 10.0)
         guess = project(self._rig, expected)
@@ -185,7 +174,7 @@ class CameraOdometry:
     def _match_right(
         self, views: tuple[Grey, Grey], corners: Floats, guess: Floats
     ) -> tuple[Floats, Bools]:
-        """`(u, v, u')` of corners, and which are believed."""
+        """`(u, v, u')` of corners as they stand in the pictures, and which are believed."""
         disparity = np.full(len(corners), _FIRST_DISPARITY_PX)
         known = len(guess)
         disparity[:known] = guess
@@ -194,25 +183,27 @@ class CameraOdometry:
             apart = ((corners[known:, None, :] - corners[None, :known, :]) ** 2).sum(axis=2)
             disparity[known:] = guess[apart.argmin(axis=1)]
         start = corners - np.column_stack([disparity, np.full(len(corners), -self._row_offset_px)])
-        start[:, 0] -= self.disparity_offset_px
+        error = self.disparity_error.at(corners)
+        start[:, 0] -= error
         levels = _LEVELS if self._sure else _LEVELS_UNSURE
         found, good = follow(views[0], views[1], corners, start, max(levels, 3))
         rows_px = found[:, 1] - corners[:, 1]
-        apart_px = corners[:, 0] - found[:, 0] - self.disparity_offset_px
+        apart_px = corners[:, 0] - found[:, 0] - error
         good &= apart_px > _DISPARITY_MIN_PX
         if self._before is None and good.sum() > 20:
             self._row_offset_px = float(np.median(rows_px[good]))
         good &= np.abs(rows_px - self._row_offset_px) < _ROW_TOLERANCE_PX
         if good.sum() > 20:
             self._row_offset_px += 0.1 * float(np.median(rows_px[good]) - self._row_offset_px)
-        return np.column_stack([corners, found[:, 0] + self.disparity_offset_px]), good
+        return np.column_stack([corners, found[:, 0]]), good
 
     def _fit(self, rows: NDArray[np.int64], seen: Floats, step_s: float) -> MotionFit | None:
         """The motion of the points `rows` that are `seen` now, None for too few."""
         if len(rows) < _INLIERS_MIN:
             return None
-        points, spreads = self._points[rows], self._spreads[rows]
-        return fit_motion(self._rig, points, spreads, seen, self._noise, self._predicted(step_s))
+        before = self._sights[rows], self._spreads[rows]
+        noise = self.disparity_error.noise_px2(seen)
+        return fit_motion(self._rig, *before, seen, noise, self._predicted(step_s))
 
     def _measure(
         self, rows: NDArray[np.int64], seen: Floats, fit: MotionFit | None, step_s: float
@@ -225,15 +216,13 @@ class CameraOdometry:
             return self._unknown(
                 len(rows), 0, "too few corners", f"{len(rows)} corners were found again"
             )
-        points, spreads = self._points[rows], self._spreads[rows]
         inliers = int(fit.inliers.sum())
         doubt = self._doubt(fit, step_s)
         if doubt is not None:
             self._lose()
             return self._unknown(len(rows), inliers, *doubt)
         self._last, self._sure = fit.current_from_previous, True
-        keep = fit.inliers
-        self._sharpen(fit, points[keep], spreads[keep], seen[keep])
+        self._sharpen(fit, rows, seen)
         return CameraMotion(
             fit.current_from_previous, fit.covariance, len(rows), inliers, known=True
         )
@@ -257,31 +246,24 @@ class CameraOdometry:
             return "no car's motion", f"the turn changes by {turn:.3f} rad from pair to pair"
         return None
 
-    def _sharpen(self, fit: MotionFit, points: Floats, spreads: Floats, seen: Floats) -> None:
-        """Kalman steps of all points together: moved by the motion, then measured."""
-        turn = fit.current_from_previous[:3, :3]
-        moved = move(fit.current_from_previous, points)
-        spread = _FORGET * (turn @ spreads @ turn.T)
-        jacobian = project_jacobian(self._rig, moved)
-        across = spread @ np.swapaxes(jacobian, 1, 2)
-        gain = across @ np.linalg.inv(jacobian @ across + self._noise)
-        residual = seen - project(self._rig, moved)
-        self._seen = seen
-        self._points = moved + np.einsum("nij,nj->ni", gain, residual)
-        self._spreads = spread - gain @ np.swapaxes(across, 1, 2)
-        self._learn_offset(*fit.offset_px)
-
-    def _learn_offset(self, gradient: float, information: float) -> None:
-        """A scalar Kalman step; points known so far are moved to where they now are."""
-        self._offset_variance_px2 += _OFFSET_WALK_PX**2
-        total = 1.0 / self._offset_variance_px2 + _OFFSET_TRUST * information
-        change = _OFFSET_TRUST * gradient / total
-        self._offset_variance_px2 = 1.0 / total
-        limit = _OFFSET_MAX_PX - abs(self.disparity_offset_px)
-        change = float(np.clip(change, -limit, limit))
-        self.disparity_offset_px += change
-        disparity = self._rig.focal_px * self._rig.baseline_m / self._points[:, 2]
-        self._points *= (disparity / np.maximum(disparity - change, 0.1))[:, None]
+    def _sharpen(self, fit: MotionFit, rows: NDArray[np.int64], seen: Floats) -> None:
+        """Kalman steps of all points that agree: moved by the motion, then measured."""
+        keep = fit.inliers
+        carried, expected = fit.carried[keep], fit.moved_px[keep]
+        change, by_error = self.disparity_error.learn(fit, self._by_error[rows[keep]], seen[keep])
+        spread = _FORGET * (carried @ self._spreads[rows[keep]] @ np.swapaxes(carried, 1, 2))
+        noise = self.disparity_error.noise_px2(seen[keep])
+        gain = spread @ np.linalg.inv(spread + noise)
+        left = np.eye(3) - gain
+        # Joseph's form: a corner seen for a hundred frames keeps a positive covariance
+        self._spreads = left @ spread @ np.swapaxes(left, 1, 2)
+        self._spreads += gain @ noise @ np.swapaxes(gain, 1, 2)
+        self._seen = seen[keep]
+        terms = self.disparity_error.terms(self._seen)
+        self._by_error = left @ by_error + gain[:, :, 2:] * terms[:, None, :]
+        measured = expected + (gain @ (self._seen - expected)[:, :, None])[:, :, 0]
+        # points known so far go where they are with the error as it is known now
+        self._sights = measured + self._by_error @ change
 
     def _lose(self) -> None:
         self._sure, self._last = False, np.eye(4)
@@ -289,8 +271,9 @@ class CameraOdometry:
 
     def _forget_points(self) -> None:
         self._seen = np.empty((0, 3))
-        self._points = np.empty((0, 3))
+        self._sights = np.empty((0, 3))
         self._spreads = np.empty((0, 3, 3))
+        self._by_error = np.empty((0, 3, TERMS))
 
     def _unknown(self, tracked: int, inliers: int, kind: str, why: str) -> CameraMotion:
         nothing = np.full((6, 6), np.inf)

@@ -34,8 +34,7 @@ def find_corners(picture: Grey, taken_px: Floats) -> Floats:
 
     Source: Shi, Tomasi, Good features to track, CVPR 1994.
     """
-    height, width = picture.shape
-    half = cv2.resize(picture, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    half = cv2.pyrDown(picture)
     strength = cv2.cornerMinEigenVal(half, 5, ksize=3)
     cell_x, cell_y = CELL_PX[0] // 2, CELL_PX[1] // 2
     rows, columns = half.shape[0] // cell_y, half.shape[1] // cell_x
@@ -47,9 +46,8 @@ def find_corners(picture: Grey, taken_px: Floats) -> Floats:
     best = cells.argmax(axis=1)
     number = np.arange(rows * columns)
     row, column = divmod(number, columns)
-    # centre of a half-resolution pixel in pixels of the picture
-    x = 2.0 * (column * cell_x + best % cell_x) + 0.5
-    y = 2.0 * (row * cell_y + best // cell_x) + 0.5
+    x = 2.0 * (column * cell_x + best % cell_x)
+    y = 2.0 * (row * cell_y + best // cell_x)
     free = np.ones(rows * columns, dtype=bool)
     if len(taken_px):
         place = np.minimum(taken_px // CELL_PX, (columns - 1, rows - 1)).astype(np.int64)
@@ -114,17 +112,27 @@ def bits_of(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> int:
     return min(16, max(8, used + used % 2))
 
 
-def same_exposure(picture: Grey, like: Grey) -> Grey:
+def grey_shares(picture: Grey) -> Floats:
+    """Share of the pixels `(256,)` that have each grey value or a lower one."""
+    counts = cv2.calcHist([picture[::4, ::4]], [0], None, [256], [0.0, 256.0])
+    below = np.cumsum(np.asarray(counts, dtype=np.float64).ravel())
+    return np.asarray(below / below[-1])
+
+
+def same_exposure(picture: Grey, shares: Floats, like: Floats) -> Grey:
     """The picture with the grey values of another one, where they differ by much.
 
     The tracker takes brightness for constant; an exposure that jumps would stop it. Neighbouring
     pictures show nearly the same, so each grey value goes to the one that as many pixels of the
     other picture lie below; that holds where the sky is burnt out, too.
+
+    Args:
+        shares, like: `grey_shares` of this picture and of the other one.
     """
-    shares = (np.arange(256) + 0.5) / 256
-    now, then = (np.quantile(view[::4, ::4], shares) for view in (picture, like))
-    if float(np.abs(now - then).mean()) < 255.0 * _EXPOSURE_FREE:
+    # area between the two distribution functions: by how much grey values differ in the mean
+    if float(np.abs(shares - like).sum()) < 255.0 * _EXPOSURE_FREE:
         return picture
+    here, there = (below - 0.5 * np.diff(below, prepend=0.0) for below in (shares, like))
     # values that no pixel has lie between those that some have
-    table = np.interp(np.arange(256.0), now + 1e-6 * np.arange(256), then)
+    table = np.interp(here, there + 1e-9 * np.arange(256), np.arange(256.0))
     return cast(Grey, cv2.LUT(picture, np.rint(table).astype(np.uint8)))

@@ -19,7 +19,13 @@ from polemap.simulate.drive import simulate_drive
 from polemap.simulate.scenario import Scenario
 from polemap.stereo.errors import StereoError
 from polemap.stereo.odometry.camera_odometry import CameraOdometry
-from polemap.stereo.odometry.corners import bits_of, find_corners, follow, same_exposure
+from polemap.stereo.odometry.corners import (
+    bits_of,
+    find_corners,
+    follow,
+    grey_shares,
+    same_exposure,
+)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +177,10 @@ def test_exposure_is_brought_to_the_other_picture_and_bits_are_seen() -> None:
     rng = np.random.default_rng(1)
     picture = rng.integers(60, 180, (80, 80)).astype(np.uint8)
     darker = cv2.convertScaleAbs(picture, alpha=0.5, beta=5)
-    assert same_exposure(darker, picture).mean() == pytest.approx(picture.mean(), abs=2)
-    assert same_exposure(picture, picture) is picture
+    shares, dark_shares = grey_shares(picture), grey_shares(darker)
+    brought = same_exposure(darker, dark_shares, shares)
+    assert brought.mean() == pytest.approx(picture.mean(), abs=2)
+    assert np.abs(brought.astype(int) - picture).max() <= 4
+    assert same_exposure(picture, shares, shares) is picture
     assert bits_of(picture) == 8
     assert bits_of(picture.astype(np.uint16) * 16) == 12
