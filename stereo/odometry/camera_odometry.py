@@ -23,7 +23,13 @@ from polemap.stereo.odometry.corners import (
     same_exposure,
 )
 from polemap.stereo.odometry.disparity_error import TERMS, DisparityError
-from polemap.stereo.odometry.motion import AGREEMENT, MotionFit, fit_motion, vehicle_step
+from polemap.stereo.odometry.motion import (
+    AGREEMENT,
+    MotionFit,
+    fit_motion,
+    inverse_symmetric,
+    vehicle_step,
+)
 from polemap.stereo.odometry.sights import Bools, Floats, move, points_of, project
 from polemap.stereo.rig import StereoRig
 
@@ -180,7 +186,8 @@ class CameraOdometry:
         disparity[:known] = guess
         if known > 20 and len(corners) > known:
             # the scene is smooth: a new corner is about as far as the nearest known one
-            apart = ((corners[known:, None, :] - corners[None, :known, :]) ** 2).sum(axis=2)
+            near = corners[:known]
+            apart = (near**2).sum(axis=1) - 2.0 * corners[known:] @ near.T
             disparity[known:] = guess[apart.argmin(axis=1)]
         start = corners - np.column_stack([disparity, np.full(len(corners), -self._row_offset_px)])
         error = self.disparity_error.at(corners)
@@ -253,7 +260,7 @@ class CameraOdometry:
         change, by_error = self.disparity_error.learn(fit, self._by_error[rows[keep]], seen[keep])
         spread = _FORGET * (carried @ self._spreads[rows[keep]] @ np.swapaxes(carried, 1, 2))
         noise = self.disparity_error.noise_px2(seen[keep])
-        gain = spread @ np.linalg.inv(spread + noise)
+        gain = spread @ inverse_symmetric(spread + noise)
         left = np.eye(3) - gain
         # Joseph's form: a corner seen for a hundred frames keeps a positive covariance
         self._spreads = left @ spread @ np.swapaxes(left, 1, 2)

@@ -85,19 +85,23 @@ class DisparityError:
             the change of the field `(5,)`, and the derivative of the moved sights `(k, 3, 5)`.
         """
         keep = fit.inliers
-        whiten, by_motion = fit.whiten[keep], fit.by_motion[keep]
+        inverse, by_motion = fit.inverse[keep], fit.by_motion[keep]
         moved = fit.carried[keep] @ by_error
         # residual: the column that is seen, plus o, minus a sight that o made, too
         of_residual = -moved
         of_residual[:, 2] += self.terms(seen_px)
-        ours = (whiten @ of_residual).reshape(-1, TERMS)
-        theirs = (whiten @ by_motion).reshape(-1, 6)
         # another field makes another motion, which moves the sights, too
-        motion = np.linalg.lstsq(theirs.T @ theirs, theirs.T @ ours, rcond=1e-12)[0]
-        across = theirs @ motion - ours
+        theirs = by_motion.reshape(-1, 6)
+        rows = (inverse @ by_motion).reshape(-1, 6)
+        ours = of_residual.reshape(-1, TERMS)
+        motion = np.linalg.lstsq(theirs.T @ rows, rows.T @ ours, rcond=1e-12)[0]
+        moved += by_motion @ motion
+        across = by_motion @ motion - of_residual
+        rows = (inverse @ across).reshape(-1, TERMS)
+        information = across.reshape(-1, TERMS).T @ rows
         prior = np.linalg.inv(self._covariance + _WALK**2 * np.diag(_PRIOR_SD_PX**2))
-        covariance = np.linalg.inv(prior + _TRUST * across.T @ across)
-        change = np.asarray(covariance @ (_TRUST * across.T @ fit.residual[keep].ravel()))
+        covariance = np.linalg.inv(prior + _TRUST * information)
+        change = covariance @ (_TRUST * (fit.residual[keep].ravel() @ rows))
         self._covariance = covariance
         self.coefficients_px = self.coefficients_px + change
-        return change, moved + by_motion @ motion
+        return np.asarray(change), moved

@@ -48,7 +48,8 @@ AGREEMENT = 0.8
 # frame to frame: four times the variance that independent corners would leave, as measured
 _CORRELATED = 4.0
 _STEPS = 10
-_SETTLED = 1e-4
+# a step that is a tenth of the deviation of independent corners
+_SETTLED = 0.01
 _PNP_REPROJECTION_PX = 1.5
 _PNP_TRIES = 200
 
@@ -64,9 +65,9 @@ class MotionFit:
         inliers: `(n,)` points that the motion explains.
         moved_px: `(n, 3)` where the motion would have the points seen.
         carried: `(n, 3, 3)`: derivative of these by the sights before.
-        whiten: `(n, 3, 3)`, `W' W = S^-1`.
+        inverse: `(n, 3, 3)`: `S^-1`.
         by_motion: `(n, 3, 6)`: derivative of the sights by the motion.
-        residual: `(n, 3)`, whitened.
+        residual: `(n, 3)`: `r`.
     """
 
     current_from_previous: Floats
@@ -74,7 +75,7 @@ class MotionFit:
     inliers: Bools
     moved_px: Floats
     carried: Floats
-    whiten: Floats
+    inverse: Floats
     by_motion: Floats
     residual: Floats
 
@@ -160,35 +161,48 @@ def _refine(
         now = in_front(transform, points)
         moved = project(rig, now)
         carried = by_point(rig, now) @ transform[:3, :3] @ by_sight(rig, points)
-        wrong = seen_px - moved + _times(carried, sights - before_px)
+        residual = seen_px - moved + _times(carried, sights - before_px)
         across = covariances_px2 @ np.swapaxes(carried, 1, 2)
-        whiten = np.linalg.inv(np.linalg.cholesky(carried @ across + noise_px2))
+        inverse = inverse_symmetric(carried @ across + noise_px2)
         of_motion = by_motion(rig, now)
-        by_six = whiten @ of_motion
-        residual = _times(whiten, wrong)
-        distance = np.einsum("ni,ni->n", residual, residual)
+        weighted = _times(inverse, residual)
+        distance = np.einsum("ni,ni->n", residual, weighted)
         # a bad guess makes all residuals large: begin as wide as half of them are
         width = max(1.0, float(np.median(distance)) / 2.4 if wide and step == 0 else 0.5 * width)
         limit = 9.0 * width
-        share = limit / (limit + distance)
-        rows = (by_six * share[:, None, None]).reshape(-1, 6)
-        information = rows.T @ rows
-        gradient = rows.T @ (residual * share[:, None]).ravel()
+        weight = (limit / (limit + distance)) ** 2
+        rows = (weight[:, None, None] * inverse @ of_motion).reshape(-1, 6)
+        information = of_motion.reshape(-1, 6).T @ rows
+        gradient = residual.ravel() @ rows
         change = np.linalg.lstsq(information, gradient, rcond=1e-12)[0]
         transform = _rigid(change) @ transform
-        if width == 1.0 and np.abs(change).max() < _SETTLED:
+        if width == 1.0 and change @ gradient < _SETTLED:
             break
-        left = _times(np.swapaxes(whiten, 1, 2), residual - by_six @ change)
-        sights = before_px + (share**2)[:, None] * _times(across, left)
+        left = weighted - _times(inverse, of_motion @ change)
+        sights = before_px + weight[:, None] * _times(across, left)
     inliers = np.asarray(distance < GATE)
     covariance = _CORRELATED * np.asarray(np.linalg.pinv(information, hermitian=True))
     # weights that understate what the residuals show would make the covariance too small
     if inliers.sum() > 4:
         covariance = covariance * max(1.0, float(distance[inliers].mean()) / 3.0)
-    expected = seen_px - wrong
+    expected = seen_px - residual
     return MotionFit(
-        transform, covariance, inliers, expected, carried, whiten, of_motion, residual
+        transform, covariance, inliers, expected, carried, inverse, of_motion, residual
     )
+
+
+def inverse_symmetric(matrices: Floats) -> Floats:
+    """Inverses of symmetric matrices `(n, 3, 3)`, by cofactors."""
+    (a, b, c), (_, d, e), (_, _, f) = np.moveaxis(matrices, 0, 2)
+    cofactors = np.array(
+        [
+            [d * f - e * e, c * e - b * f, b * e - c * d],
+            [c * e - b * f, a * f - c * c, b * c - a * e],
+            [b * e - c * d, b * c - a * e, a * d - b * b],
+        ]
+    )
+    determinant = a * cofactors[0, 0] + b * cofactors[0, 1] + c * cofactors[0, 2]
+    return np.ascontiguousarray(np.moveaxis(cofactors / determinant, 2, 0))
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:

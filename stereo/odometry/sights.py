@@ -29,7 +29,9 @@ def project(rig: StereoRig, points_m: Floats) -> Floats:
 def points_of(rig: StereoRig, sights_px: Floats) -> Floats:
     """Camera points `(n, 3)` of sights `(n, 3)`."""
     disparity = np.maximum(sights_px[:, 0] - sights_px[:, 2], _DISPARITY_MIN_PX)
-    return rig.camera_points(sights_px[:, 0], sights_px[:, 1], disparity)
+    points = sights_px - (rig.cx_px, rig.cy_px, 0.0)
+    points[:, 2] = rig.focal_px
+    return np.asarray(points * (rig.baseline_m / disparity)[:, None])
 
 
 def move(transform: Floats, points_m: Floats) -> Floats:
