@@ -21,6 +21,7 @@ from polemap.stereo.odometry.corners import (
     follow,
     grey_shares,
     same_exposure,
+    thinned,
 )
 from polemap.stereo.odometry.disparity_error import TERMS, DisparityError
 from polemap.stereo.odometry.motion import (
@@ -169,6 +170,8 @@ class CameraOdometry:
         guess = project(self._rig, expected)
         places, found = follow(self._before, view, self._seen[:, :2], guess[:, :2], levels)
         rows = np.flatnonzero(found & front)
+        # corners of the distance crowd together, and say the same
+        rows = rows[thinned(places[rows], self._spreads[rows, 2, 2])]
         return rows, places[rows], (guess[:, 0] - guess[:, 2])[rows]
 
     def _predicted(self, step_s: float) -> Floats:

@@ -45,11 +45,11 @@ GATE = 16.27
 # fewer than these of the points agreeing leaves room for another motion
 AGREEMENT = 0.8
 # corners beside each other err alike (texture, slanted ground), and points keep their errors from
-# frame to frame: four times the variance that independent corners would leave, as measured
-_CORRELATED = 4.0
+# frame to frame: three times the variance that independent corners would leave, as measured
+_CORRELATED = 3.0
 _STEPS = 10
-# a step that is a tenth of the deviation of independent corners
-_SETTLED = 0.01
+# the square of a step in deviations of independent corners
+_SETTLED = 0.03
 _PNP_REPROJECTION_PX = 1.5
 _PNP_TRIES = 200
 
@@ -174,7 +174,7 @@ def _refine(
         rows = (weight[:, None, None] * inverse @ of_motion).reshape(-1, 6)
         information = of_motion.reshape(-1, 6).T @ rows
         gradient = residual.ravel() @ rows
-        change = np.linalg.lstsq(information, gradient, rcond=1e-12)[0]
+        change = _solved(information, gradient)
         transform = _rigid(change) @ transform
         if width == 1.0 and change @ gradient < _SETTLED:
             break
@@ -189,6 +189,14 @@ def _refine(
     return MotionFit(
         transform, covariance, inliers, expected, carried, inverse, of_motion, residual
     )
+
+
+def _solved(information: Floats, gradient: Floats) -> Floats:
+    try:
+        return np.asarray(np.linalg.solve(information, gradient))
+    except np.linalg.LinAlgError:
+        # corners that leave a direction open: no step along it
+        return np.asarray(np.linalg.lstsq(information, gradient, rcond=1e-12)[0])
 
 
 def inverse_symmetric(matrices: Floats) -> Floats:

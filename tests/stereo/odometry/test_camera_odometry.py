@@ -25,6 +25,7 @@ from polemap.stereo.odometry.corners import (
     follow,
     grey_shares,
     same_exposure,
+    thinned,
 )
 
 
@@ -160,6 +161,12 @@ def test_corners_spread_and_leave_taken_cells(bend: Drive) -> None:
     assert len(cells) == len(corners)
     assert not len(find_corners(left, corners))
     assert not len(find_corners(np.full((100, 200), 90, np.uint8), np.empty((0, 2))))
+
+
+def test_of_a_crowd_the_surest_corner_stays() -> None:
+    places = np.array([[5.0, 5.0], [6.0, 7.0], [100.0, 5.0], [5.0, 100.0]])
+    assert thinned(places, np.array([2.0, 1.0, 3.0, 3.0])).tolist() == [1, 2, 3]
+    assert thinned(places[:0], np.empty(0)).tolist() == []
 
 
 def test_following_finds_a_shift() -> None:
