@@ -62,7 +62,7 @@ class DisparityError:
         return np.asarray(self.terms(places_px) @ self.coefficients_px)
 
     def removed(self, seen_px: Floats) -> Floats:
-        """Sights `(u, v, u')` `(n, 3)` of the pictures with the error taken from the right column."""
+        """Sights `(u, v, u')` `(n, 3)` of the pictures with the error taken out of `u'`."""
         right = seen_px[:, 2] + self.at(seen_px)
         return np.column_stack([seen_px[:, :2], right])
 
