@@ -18,7 +18,8 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.features import Grey, follow_rows
 from polemap.drivelog.plausibility.odometer import Odometer, of_odometry, of_reference
 from polemap.drivelog.source_names import CalibrationNames
-from polemap.stereo.odometry.motion import fit_motion, triangulate
+from polemap.stereo.odometry.motion import fit_motion
+from polemap.stereo.odometry.sights import points_of
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import rotate
 from polemap.vehicle.pose import rotation as plane_rotation
@@ -143,9 +144,8 @@ def fit_step(rig: StereoRig, seen: StereoMatches) -> tuple[Floats, Floats]:
         )
     )  # fmt: skip
     noise = _SPREAD_PX**2 * np.eye(3)
-    points, covariances = triangulate(rig, first, noise)
-    fit = fit_motion(rig, points, covariances, second, noise, np.eye(4))
-    return fit.current_from_previous, points
+    fit = fit_motion(rig, first, np.tile(noise, (len(first), 1, 1)), second, noise, np.eye(4))
+    return fit.current_from_previous, points_of(rig, first)
 
 
 def camera_findings(drive: Drive, seen: list[SeenMotion]) -> list[Finding]:

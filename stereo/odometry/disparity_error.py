@@ -100,7 +100,9 @@ class DisparityError:
         rows = (inverse @ across).reshape(-1, TERMS)
         information = across.reshape(-1, TERMS).T @ rows
         prior = np.linalg.inv(self._covariance + _WALK**2 * np.diag(_PRIOR_SD_PX**2))
-        covariance = np.linalg.inv(prior + _TRUST * information)
+        covariance: Floats = np.asarray(
+            np.linalg.inv(prior + _TRUST * information), dtype=np.float64
+        )
         change = covariance @ (_TRUST * (fit.residual[keep].ravel() @ rows))
         self._covariance = covariance
         self.coefficients_px = self.coefficients_px + change
