@@ -18,6 +18,7 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.odometry_window import OdometryWindow
 from polemap.drivelog.samples import OdometrySample, StereoFrame
+from polemap.matching_ahead import MatchedFrame, match_ahead
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
 from polemap.stereo.rig import StereoRig
@@ -88,6 +89,16 @@ class PolePerception:
         self._matcher = self._matcher or make_matcher(self._stereo, self._rig)
         return self._matcher.match(frame.left, frame.right)
 
+    def matched(self, frame: StereoFrame) -> MatchedFrame:
+        """A stereo frame with its disparity; may run beside `perceive` of the frame before.
+
+        Raises:
+            InputError, StereoError: as of `match`.
+        """
+        return MatchedFrame(
+            frame.stamp_s, frame.arrival_s, frame.index, frame.left, frame.right, self.match(frame)
+        )
+
     def scan_frame(self, frame: StereoFrame) -> Detections:
         """The tracked poles of a stereo frame; see `perceive`."""
         return self.perceive(frame).scan
@@ -98,7 +109,7 @@ class PolePerception:
         """The poles of a stereo frame with all that led to them.
 
         Args:
-            frame: the pictures.
+            frame: the pictures; a `MatchedFrame` brings its disparity.
             disparity: their disparity maps, where these are there already.
 
         Raises:
@@ -108,7 +119,7 @@ class PolePerception:
         if self._rig is None:
             raise InputError("perception: a stereo frame came, but the drive has no camera")
         if disparity is None:
-            disparity = self.match(frame)
+            disparity = frame.disparity if isinstance(frame, MatchedFrame) else self.match(frame)
         self._classifier = self._classifier or read_classifier(self._config.detection.model)
         view = detect(frame, disparity, self._rig, self._classifier, self._config.detection)
         corrected, scan = self._track_stereo(view.detections)
@@ -191,7 +202,7 @@ def scan_drive(
         raise InputError(f"drive {drive.name}: it has neither images nor {drive.names.poles}")
     perception = PolePerception(drive.rig, config, stereo=stereo)
     scans = []
-    for sample in samples_in_order(drive):
+    for sample in match_ahead(samples_in_order(drive), perception.matched):
         if isinstance(sample, OdometrySample):
             perception.record_odometry(sample)
             continue
@@ -206,7 +217,7 @@ def scan_drive(
 
 def perceive_drive(drive: Drive, perception: PolePerception) -> Iterator[PerceivedFrame]:
     """All that a drive's frames show, one after the other."""
-    for sample in samples_in_order(drive):
+    for sample in match_ahead(samples_in_order(drive), perception.matched):
         if isinstance(sample, OdometrySample):
             perception.record_odometry(sample)
         elif isinstance(sample, StereoFrame):

@@ -94,6 +94,19 @@ class CensusSgm:
             StereoError: images of different size or type, or too small for the search range,
                 or with more bits than `uint16_bits`.
         """
+        kernel, pair = self._checked(left, right)
+        return DisparityPair(*kernel.match(*pair))
+
+    def searched_rows(self, left: Image, right: Image) -> list[int]:
+        """How many disparities `match` searches in each row of this pair; see `search`.
+
+        Raises:
+            StereoError: as of `match`.
+        """
+        kernel, pair = self._checked(left, right)
+        return list(kernel.searched(*pair))
+
+    def _checked(self, left: Image, right: Image) -> tuple[Any, tuple[Image, Image]]:
         check_pair(left, right, self._config, self._rig)
         bits = 8 if left.dtype == np.uint8 else self._config.uint16_bits
         if bits < 16 and int(left.max()) >> bits | int(right.max()) >> bits:
@@ -101,8 +114,7 @@ class CensusSgm:
                 f"the images hold values above {2**bits - 1}, more than {bits} bits: "
                 "raise uint16_bits in the stereo settings"
             )
-        maps = self._by_bits[bits].match(np.ascontiguousarray(left), np.ascontiguousarray(right))
-        return DisparityPair(*maps)
+        return self._by_bits[bits], (np.ascontiguousarray(left), np.ascontiguousarray(right))
 
     def _make(self, bits: int) -> Any:
         config, penalties, options = self._config, self._config.penalties, self._options
@@ -129,4 +141,5 @@ class CensusSgm:
             cost_weight=config.cost_weight,
             threads=config.threads,
             instruction_set=options.instruction_set,
+            search_strips=config.search == "strips",
         )

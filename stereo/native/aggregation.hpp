@@ -117,8 +117,7 @@ class Aggregation {
       view->scratch.resize(2 * p.pixel_stride());
       view->planes.resize(3 * rows * p.plane_stride() + kLanes);
     }
-    volume_.bytes.resize(rows * p.volume_stride());
-    const std::size_t columns = p.columns(), depth = p.disparities;
+    const std::size_t columns = p.columns(), depth = p.capacity;
     const std::size_t chunks = (columns + kTurned - 1) / kTurned;
     for (Scratch& s : halves_) {
       s.paths.resize(p.vertical_paths * p.state_size());
@@ -153,9 +152,17 @@ class Aggregation {
   }
 
   template <typename T>
-  void run(const Problem& p, const Loops& loops, const T* left, const T* right, bool flip,
-           bool threads, Maps maps) {
+  void run(const Problem& p, const std::vector<int>& searched, const Loops& loops, const T* left,
+           const T* right, bool flip, bool threads, Maps maps) {
     prepare(p);
+    rows_.clear();
+    std::size_t place = 0;
+    for (const int count : searched) {
+      rows_.push_back({count, place});
+      place += p.searching(count).volume_stride();
+    }
+    volume_.bytes.resize(place);
+    const Searched* rows = rows_.data();
     const int middle = p.height / 2;
     const auto prepare_view = [&](View& view, const T* image) {
       load(p, view, image, flip);
@@ -167,17 +174,17 @@ class Aggregation {
     u8* volume = volume_.bytes.get();
     const int top_rows = middle, bottom_rows = p.height - middle;
     run_together(
-        {[&] { loops.first_pass(p, left_, right_, 0, middle, 1, halves_[0], volume); },
+        {[&] { loops.first_pass(p, rows, left_, right_, 0, middle, 1, halves_[0], volume); },
          [&] {
-           loops.first_pass(p, left_, right_, p.height - 1, middle - 1, -1, halves_[1], volume);
+           loops.first_pass(p, rows, left_, right_, p.height - 1, middle - 1, -1, halves_[1], volume);
          }},
         threads);
     run_together({[&] {
-                    loops.second_pass(p, left_, right_, middle, p.height, 1, top_rows & 1,
+                    loops.second_pass(p, rows, left_, right_, middle, p.height, 1, top_rows & 1,
                                       halves_[0], volume, maps);
                   },
                   [&] {
-                    loops.second_pass(p, left_, right_, middle - 1, -1, -1, bottom_rows & 1,
+                    loops.second_pass(p, rows, left_, right_, middle - 1, -1, -1, bottom_rows & 1,
                                       halves_[1], volume, maps);
                   }},
                  threads);
@@ -186,6 +193,7 @@ class Aggregation {
  private:
   View left_, right_;
   Volume volume_;
+  std::vector<Searched> rows_;
   Scratch halves_[2];
 };
 

@@ -11,6 +11,7 @@
 #include "aggregation.hpp"
 #include "disparity_checks.hpp"
 #include "map_pool.hpp"
+#include "search_range.hpp"
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -37,9 +38,10 @@ class CensusMatcher {
                 const std::array<unsigned, 4>& across, const std::array<unsigned, 4>& upright,
                 int uniqueness_percent, int subpixel, bool median, float tolerance, int speckle_px,
                 int speckle_rows, float speckle_step_px, int outside_cost, int cost_weight,
-                int threads, const std::string& instruction_set)
+                int threads, const std::string& instruction_set, bool search_strips)
       : own_right_(own_right),
         median_(median),
+        search_strips_(search_strips),
         tolerance_(tolerance),
         speckle_px_(speckle_px),
         speckle_rows_(speckle_rows),
@@ -66,6 +68,7 @@ class CensusMatcher {
       problem_.pairs[k] = {pair[0], pair[1], pair[2], pair[3]};
     }
     problem_.disparities = disparities;
+    problem_.capacity = disparities;
     problem_.offset = offset;
     problem_.vertical_paths = paths == 8 ? 3 : 1;
     problem_.uniqueness_percent = uniqueness_percent;
@@ -87,7 +90,7 @@ class CensusMatcher {
 
   template <typename T>
   py::tuple match(const py::array_t<T, py::array::c_style>& left,
-                  const py::array_t<T, py::array::c_style>& right) {
+                  const py::array_t<T, py::array::c_style>& right, std::vector<int> searched) {
     if (left.ndim() != 2 || right.ndim() != 2 || left.shape(0) != right.shape(0) ||
         left.shape(1) != right.shape(1) || left.size() == 0)
       throw std::invalid_argument("the census matcher needs two grey images of one size");
@@ -105,33 +108,66 @@ class CensusMatcher {
     {
       const py::gil_scoped_release release;
       const std::lock_guard<std::mutex> guard(busy_);
-      compute(left.data(), right.data(), static_cast<int>(width), static_cast<int>(height), raw,
-              out, margin);
+      const Problem p = problem(width, height);
+      if (searched.empty()) searched = range_of(p, left.data(), right.data());
+      check_searched(p, searched);
+      compute(p, searched, left.data(), right.data(), raw, out, margin);
     }
     return py::make_tuple(checked[0], checked[1], found[0], found[1], margins[0], margins[1]);
   }
 
- private:
+  // How many disparities `match` searches in each row of such a pair.
   template <typename T>
-  void compute(const T* left, const T* right, int width, int height, float* raw[2], float* out[2],
-               u8* margin[2]) {
+  std::vector<int> searched(const py::array_t<T, py::array::c_style>& left,
+                            const py::array_t<T, py::array::c_style>& right) {
+    if (left.ndim() != 2 || right.ndim() != 2 || left.shape(0) != right.shape(0) ||
+        left.shape(1) != right.shape(1) || left.size() == 0)
+      throw std::invalid_argument("the census matcher needs two grey images of one size");
+    const std::lock_guard<std::mutex> guard(busy_);
+    return range_of(problem(left.shape(1), left.shape(0)), left.data(), right.data());
+  }
+
+ private:
+  Problem problem(py::ssize_t width, py::ssize_t height) const {
     Problem p = problem_;
-    p.width = width;
-    p.height = height;
+    p.width = static_cast<int>(width);
+    p.height = static_cast<int>(height);
+    return p;
+  }
+
+  template <typename T>
+  std::vector<int> range_of(const Problem& p, const T* left, const T* right) {
+    if (search_strips_) return range_.rows(p, loops_, left, right, threads_ > 1);
+    return std::vector<int>(static_cast<std::size_t>(p.height), p.disparities);
+  }
+
+  // The horizontal paths of a strip run side by side, over the same disparities.
+  static void check_searched(const Problem& p, const std::vector<int>& searched) {
+    bool valid = searched.size() == static_cast<std::size_t>(p.height);
+    for (int y = 0; valid && y < p.height; ++y)
+      valid = searched[y] >= 1 && searched[y] <= p.disparities &&
+              searched[y] == searched[strip_of(y, p.height)];
+    if (!valid) throw std::invalid_argument("one count for each row, the same for each strip");
+  }
+
+  template <typename T>
+  void compute(const Problem& p, const std::vector<int>& searched, const T* left, const T* right,
+               float* raw[2], float* out[2], u8* margin[2]) {
+    const int width = p.width, height = p.height;
     const std::size_t size = static_cast<std::size_t>(width) * height;
     for (Buffer<u8>& unique : unique_) unique.resize(size);
     u8* unique[2] = {unique_[0].get(), unique_[1].get()};
     if (!own_right_) {
-      views_[0].run(p, loops_, left, right, false, threads_ > 1,
+      views_[0].run(p, searched, loops_, left, right, false, threads_ > 1,
                     {raw[0], raw[1], margin[0], margin[1], unique[0], unique[1]});
     } else {
       // the right view is the left view of the mirrored and swapped pair
       const auto one = [&] {
-        views_[0].run(p, loops_, left, right, false, threads_ > 1,
+        views_[0].run(p, searched, loops_, left, right, false, threads_ > 1,
                       {raw[0], nullptr, margin[0], nullptr, unique[0], nullptr});
       };
       const auto two = [&] {
-        views_[1].run(p, loops_, right, left, true, threads_ > 1,
+        views_[1].run(p, searched, loops_, right, left, true, threads_ > 1,
                       {raw[1], nullptr, margin[1], nullptr, unique[1], nullptr});
         for (int y = 0; y < height; ++y) {
           const std::size_t row = static_cast<std::size_t>(y) * width;
@@ -160,7 +196,7 @@ class CensusMatcher {
   }
 
   Problem problem_{};
-  bool own_right_, median_;
+  bool own_right_, median_, search_strips_;
   float tolerance_;
   int speckle_px_, speckle_rows_;
   float speckle_step_px_;
@@ -169,6 +205,7 @@ class CensusMatcher {
   Loops loops_;
   std::mutex busy_;
   Aggregation views_[2];
+  SearchRange range_;
   Buffer<u8> unique_[2];
   Buffer<float> median_buffer_[2];
   std::shared_ptr<MapPool> maps_ = std::make_shared<MapPool>();
@@ -189,16 +226,21 @@ PYBIND11_MODULE(census_kernel, module) {
   py::class_<CensusMatcher>(module, "CensusMatcher")
       .def(py::init<const std::vector<std::array<int, 4>>&, int, int, int, int, int, bool, int,
                     const Law&, const Law&, int, int, bool, float, int, int, float, int, int, int,
-                    const std::string&>(),
+                    const std::string&, bool>(),
            py::kw_only(), py::arg("pairs"), py::arg("bits"), py::arg("smoothing"),
            py::arg("disparities"), py::arg("offset"), py::arg("paths"), py::arg("own_right"),
            py::arg("p1"), py::arg("across"), py::arg("upright"), py::arg("uniqueness_percent"),
            py::arg("subpixel"), py::arg("median"), py::arg("tolerance"), py::arg("speckle_px"),
            py::arg("speckle_rows"), py::arg("speckle_step_px"), py::arg("outside_cost"),
-           py::arg("cost_weight"), py::arg("threads"), py::arg("instruction_set"))
+           py::arg("cost_weight"), py::arg("threads"), py::arg("instruction_set"),
+           py::arg("search_strips"))
       .def_property_readonly("instruction_set", &CensusMatcher::instruction_set)
       .def("match", &CensusMatcher::match<std::uint8_t>, py::arg("left").noconvert(),
-           py::arg("right").noconvert())
+           py::arg("right").noconvert(), py::arg("searched") = std::vector<int>())
       .def("match", &CensusMatcher::match<std::uint16_t>, py::arg("left").noconvert(),
+           py::arg("right").noconvert(), py::arg("searched") = std::vector<int>())
+      .def("searched", &CensusMatcher::searched<std::uint8_t>, py::arg("left").noconvert(),
+           py::arg("right").noconvert())
+      .def("searched", &CensusMatcher::searched<std::uint16_t>, py::arg("left").noconvert(),
            py::arg("right").noconvert());
 }

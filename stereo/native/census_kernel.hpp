@@ -78,11 +78,18 @@ struct Penalty {
   u32 p2_min, p2_max, gamma, alpha_q16;
 };
 
+// How many disparities a row searches, and where its excesses lie in the volume.
+struct Searched {
+  int count;
+  std::size_t place;
+};
+
 // Sizes, penalties and where things lie in memory. Rows of pixels are padded to whole blocks of
 // kLanes, with guards on both sides that the diagonal paths and the shifted right view may read.
 struct Problem {
   int width, height;
   int disparities, offset;  // searched: offset ... offset + disparities - 1
+  int capacity;             // the most that any row searches
   int vertical_paths;       // 1 (4 paths in all) or 3 (8 paths)
   int uniqueness_percent;
   int cost_weight;          // how often the matching cost itself counts beside the excesses
@@ -93,9 +100,16 @@ struct Problem {
   int smoothing_shift;      // bits dropped after it, so that 16 hold the sum
   Penalty across, upright;  // of horizontal and diagonal steps, and of vertical ones
 
+  // The same where fewer disparities are searched.
+  Problem searching(int count) const {
+    Problem other = *this;
+    other.disparities = count;
+    return other;
+  }
+
   int paths() const { return 2 * vertical_paths + 2; }
   int columns() const { return round_up(width, kLanes); }
-  int guard() const { return round_up(disparities + offset, kLanes) + kLanes; }
+  int guard() const { return round_up(capacity + offset, kLanes) + kLanes; }
   int plane_stride() const { return guard() + columns() + kLanes; }
   // an odd number of cache lines, so that the rows of a state do not share cache sets
   int pixel_stride() const { return ((columns() / kLanes + 2) | 1) * kLanes; }
@@ -103,7 +117,7 @@ struct Problem {
   // of the path costs of a row: a block of zeros left of the image, one of slack, guards
   int state_stride() const { return ((columns() / kLanes + 3) | 1) * kLanes; }
   std::size_t state_size() const {
-    return static_cast<std::size_t>(disparities + 2) * state_stride();
+    return static_cast<std::size_t>(capacity + 2) * state_stride();
   }
   std::size_t strip_column() const {
     return static_cast<std::size_t>(disparities + 1) * kStripRows;

@@ -1,14 +1,25 @@
 // The two passes over the image. A part of census_kernel_body.hpp.
 
+// On to a row that searches so many disparities.
+KERNEL_INLINE void search_row(Problem& p, int count, Scratch& s, int phase) {
+  const int before = p.disparities;
+  if (count == before) return;
+  p.disparities = count;
+  change_searched(p, before, s, phase);
+}
+
 // First pass over a half: rows from `begin` (step +1 or -1) to the middle leave their excesses in
 // the volume.
-KERNEL_FN void first_pass(const Problem& p, const View& left, const View& right, int begin, int end,
-                          int step, Scratch& s, u8* volume) {
+KERNEL_FN void first_pass(const Problem& every, const Searched* searched, const View& left,
+                          const View& right, int begin, int end, int step, Scratch& s,
+                          u8* volume) {
+  Problem p = every.searching(searched[begin].count);
   clear_paths(p, s);
   int phase = 0;
   for (int y = begin; y != end; y += step, phase ^= 1) {
+    search_row(p, searched[y].count, s, phase);
     const CensusRow row = census_row(p, left, right, y);
-    u8* excess = volume + static_cast<std::size_t>(y) * p.volume_stride();
+    u8* excess = volume + searched[y].place;
     path_penalties(p, left, y, y == begin ? y : y - step, s, phase);
     for (int i = 0; i < p.columns(); i += kLanes) {
       const int x = phase == 0 ? i : p.columns() - kLanes - i;
@@ -39,14 +50,19 @@ KERNEL_FN void finish_row(const Problem& p, const CensusRow& row, Scratch& s, in
 }
 
 // Second pass: on through the other half, whose excesses are there by now, to the winners.
-KERNEL_FN void second_pass(const Problem& p, const View& left, const View& right, int begin,
-                           int end, int step, int phase, Scratch& s, const u8* volume, Maps maps) {
+KERNEL_FN void second_pass(const Problem& every, const Searched* searched, const View& left,
+                           const View& right, int begin, int end, int step, int phase, Scratch& s,
+                           const u8* volume, Maps maps) {
+  if (begin == end) return;
+  const bool goes_on = begin - step >= 0 && begin - step < every.height;
+  Problem p = every.searching(searched[goes_on ? begin - step : begin].count);
   const Winners w = Winners::in(s.winners.get(), p.columns());
-  for (int d = 0; d < p.disparities; ++d)  // what diagonals read right of the last block
+  for (int d = 0; d < p.capacity; ++d)  // what diagonals read right of the last block
     __builtin_memset(s.scores.get() + static_cast<std::size_t>(d) * p.score_stride() + p.columns(),
                      0, kLanes);
   int strip_first = 0, strip_rows = 0;
   for (int y = begin; y != end; y += step, phase ^= 1) {
+    search_row(p, searched[y].count, s, phase);
     if (strip_rows == 0 || y < strip_first || y >= strip_first + strip_rows) {
       const int left_over = (end - y) * step;
       strip_rows = left_over < kStripRows ? left_over : kStripRows;
@@ -57,7 +73,7 @@ KERNEL_FN void second_pass(const Problem& p, const View& left, const View& right
     const int from = y - step;
     path_penalties(p, left, y, from < 0 || from >= p.height ? y : from, s, phase);
     finish_row(p, census_row(p, left, right, y), s, phase,
-               volume + static_cast<std::size_t>(y) * p.volume_stride(),
+               volume + searched[y].place,
                s.strip_sum.get() + static_cast<std::size_t>(y - strip_first) * p.volume_stride(),
                maps.right != nullptr, w);
     const std::size_t row = static_cast<std::size_t>(y) * p.width;

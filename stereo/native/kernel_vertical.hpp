@@ -158,6 +158,22 @@ KERNEL_FN void end_row(const Problem& p, Scratch& s, int phase) {
   }
 }
 
+// What a row that searches more or fewer disparities than the one before finds of it: nothing of
+// those that were not searched there, so that a path gets to them by P2 alone.
+KERNEL_FN void change_searched(const Problem& p, int before, Scratch& s, int phase) {
+  const std::ptrdiff_t stride = p.state_stride();
+  const u8 never = static_cast<u8>(255 - p.p1);
+  const int least = before < p.disparities ? before : p.disparities;
+  for (int k = 0; k < p.vertical_paths; ++k) {
+    u8* state = s.paths.get() + k * p.state_size();
+    __builtin_memset(state + (least + 1) * stride, never,
+                     static_cast<std::size_t>(p.disparities - least + 1) * stride);
+    u8* edge = state + state_column(path_dx(p, k), phase);
+    for (int d = before + 1; d <= p.disparities; ++d)
+      edge[d * stride - 1] = edge[d * stride + p.width] = 0;
+  }
+}
+
 KERNEL_FN void clear_paths(const Problem& p, Scratch& s) {
   const std::size_t stride = p.state_stride();
   const u8 never = static_cast<u8>(255 - p.p1);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,8 +69,12 @@ def cost_volume(left, right, s):
     return cost
 
 
-def aggregate(cost, image, s):
-    """Sum of what the path costs of all directions exceed the cost by, and the weighted cost."""
+def aggregate(cost, image, s, searched):
+    """Sum of what the path costs of all directions exceed the cost by, and the weighted cost.
+
+    A row searches the first `searched[y]` disparities; of the row before only these count, too, but
+    for the least of its path costs.
+    """
     height, width, _ = cost.shape
     total = s.cost_weight * cost
     for dv, du in EIGHT[: s.paths]:
@@ -82,14 +87,16 @@ def aggregate(cost, image, s):
                 if not (0 <= v < height and 0 <= u < width):
                     path[y, x] = cost[y, x]
                     continue
-                old = path[v, u]
+                old = path[v, u].copy()
+                least = old[: searched[v]].min()
+                old[min(searched[v], searched[y]) :] = 10**6
                 step = abs(int(image[y, x]) - int(image[v, u]))
                 p2 = min(max(gamma - ((step * alpha_q16) >> 16), p2_min), p2_max)
                 far = np.full(1, 10**6)
                 below = np.concatenate([far, old[:-1]]) + s.p1
                 above = np.concatenate([old[1:], far]) + s.p1
-                best = np.minimum(np.minimum(old, below), np.minimum(above, old.min() + p2))
-                path[y, x] = cost[y, x] + best - old.min()
+                best = np.minimum(np.minimum(old, below), np.minimum(above, least + p2))
+                path[y, x] = cost[y, x] + best - least
         total += path - cost
     return np.minimum(total, LARGEST_SUM)
 
@@ -125,19 +132,21 @@ def winners(lists, s):
     return disparity, margin, unique
 
 
-def left_lists(total, s):
-    height, width, count = total.shape
-    reach = [min(max(x - s.offset + 1, 0), count) for x in range(width)]
-    return [[total[y, x, : reach[x]] for x in range(width)] for y in range(height)]
+def left_lists(total, s, searched):
+    height, width, _ = total.shape
+    reach = [max(x - s.offset + 1, 0) for x in range(width)]
+    return [
+        [total[y, x, : min(reach[x], searched[y])] for x in range(width)] for y in range(height)
+    ]
 
 
-def right_lists(total, s):
-    height, width, count = total.shape
+def right_lists(total, s, searched):
+    height, width, _ = total.shape
     lists = []
     for y in range(height):
         row = []
         for x in range(width):
-            reach = min(max(width - x - s.offset, 0), count)
+            reach = min(max(width - x - s.offset, 0), searched[y])
             d = np.arange(reach)
             row.append(total[y, x + d + s.offset, d])
         lists.append(row)
@@ -199,18 +208,61 @@ def without_speckles(disparity, s):
     return out
 
 
-def match(left, right, s: Settings):
+STRIP_ROWS = 32
+
+
+def strips(height):
+    """Slices of rows from the middle outwards, as horizontal paths run side by side."""
+    middle = height // 2
+    down = [slice(y, min(y + STRIP_ROWS, height)) for y in range(middle, height, STRIP_ROWS)]
+    up = [slice(max(y - STRIP_ROWS + 1, 0), y + 1) for y in range(middle - 1, -1, -STRIP_ROWS)]
+    return down + up
+
+
+def searched_rows(left, right, s):
+    """How many disparities each row searches: what the pair at an eighth of its size shows."""
+    height, width = left.shape
+    if s.disparities <= 64 or width < 64 or height < 128:
+        return [s.disparities] * height
+    left, right = (
+        ((image[: height // 4 * 4, : width // 2 * 2].astype(np.int64)
+          .reshape(height // 4, 4, width // 2, 2).sum(axis=(1, 3)) + 4) >> 3).astype(image.dtype)
+        for image in (left, right)
+    )  # fmt: skip
+    offset = s.offset // 2
+    small = dataclasses.replace(
+        s, offset=offset, disparities=(s.offset + s.disparities - 1) // 2 - offset + 1, paths=4,
+        own_right=False, subpixel=0, uniqueness_percent=0, median=False, tolerance=1.0,
+        speckle_px=25, speckle_rows=4, speckle_step_px=1.0,
+    )  # fmt: skip
+    seen = match(left, right, small)[0]
+    counts = []
+    for rows in strips(height):
+        strip = seen[rows.start // 4 : (rows.stop - 1) // 4 + 1]
+        found = np.sort(strip[np.isfinite(strip)].astype(int))
+        nearest = int(found[-6]) if len(found) >= 6 else offset
+        count = -((s.offset - 8 - 2 * (nearest + 1)) // 8) * 8
+        counts.append((rows, min(max(count, 48), s.disparities)))
+    searched = [0] * height
+    for rows, _ in counts:
+        beside = [c for r, c in counts if r.start <= rows.stop and rows.start <= r.stop]
+        searched[rows] = [max(beside)] * (rows.stop - rows.start)
+    return searched
+
+
+def match(left, right, s: Settings, searched=None):
     """`(left, right, left_unchecked, right_unchecked, left_margin, right_margin)`."""
+    searched = [s.disparities] * len(left) if searched is None else searched
     left, right = smooth(left, s), smooth(right, s)
-    total = aggregate(cost_volume(left, right, s), left, s)
-    raw_left, margin_left, unique_left = winners(left_lists(total, s), s)
+    total = aggregate(cost_volume(left, right, s), left, s, searched)
+    raw_left, margin_left, unique_left = winners(left_lists(total, s, searched), s)
     if s.own_right:
         one, two = right[:, ::-1], left[:, ::-1]
-        total = aggregate(cost_volume(one, two, s), one, s)
-        found = winners(left_lists(total, s), s)
+        total = aggregate(cost_volume(one, two, s), one, s, searched)
+        found = winners(left_lists(total, s, searched), s)
         raw_right, margin_right, unique_right = (item[:, ::-1] for item in found)
     else:
-        raw_right, margin_right, unique_right = winners(right_lists(total, s), s)
+        raw_right, margin_right, unique_right = winners(right_lists(total, s, searched), s)
     if s.median:
         raw_left, raw_right = median3(raw_left), median3(raw_right)
     return (

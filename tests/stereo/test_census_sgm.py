@@ -71,11 +71,19 @@ def problems(draw):
     return left, right, options
 
 
-def run(left, right, options, threads=1, instruction_set="auto"):
+def make(options, threads=1, instruction_set="auto", search_strips=False):
     fields = dataclasses.asdict(options)
-    fields["pairs"] = census_pairs(fields.pop("census"))
-    matcher = kernel.CensusMatcher(**fields, threads=threads, instruction_set=instruction_set)
-    return matcher.match(left, right)
+    return kernel.CensusMatcher(
+        pairs=census_pairs(fields.pop("census")),
+        **fields,
+        threads=threads,
+        instruction_set=instruction_set,
+        search_strips=search_strips,
+    )
+
+
+def run(left, right, options, threads=1, instruction_set="auto", searched=()):
+    return make(options, threads, instruction_set).match(left, right, list(searched))
 
 
 @given(problems())
@@ -88,6 +96,69 @@ def test_every_build_and_thread_count_equals_the_reference(problem):
             got = run(left, right, options, threads, instruction_set)
             for name, one, two in zip(MAPS, expected, got, strict=True):
                 np.testing.assert_array_equal(one, two, err_msg=f"{name} {instruction_set}")
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(30, 80),
+    st.lists(st.integers(1, 16), min_size=4, max_size=4),
+    st.sampled_from([4, 8]),
+    st.booleans(),
+    st.sampled_from([0, 3]),
+)
+@settings(max_examples=8, deadline=None)
+def test_strips_that_search_less_equal_the_reference(seed, height, counts, paths, own, offset):
+    """A row finds nothing of what the row before did not search, and its paths pay P2 for it."""
+    rng = np.random.default_rng(seed)
+    scene = rng.integers(0, 256, (height, 40), dtype=np.uint8)
+    left, right = scene[:, :30].copy(), scene[:, 5:35].copy()
+    options = reference.Settings(disparities=16, offset=offset, paths=paths, own_right=own)
+    searched = [0] * height
+    for rows, count in zip(reference.strips(height), counts, strict=False):
+        searched[rows] = [count] * (rows.stop - rows.start)
+    expected = reference.match(left, right, options, searched)
+    for instruction_set in INSTRUCTION_SETS:
+        got = run(left, right, options, 2, instruction_set, searched)
+        for name, one, two in zip(MAPS, expected, got, strict=True):
+            np.testing.assert_array_equal(one, two, err_msg=f"{name} {instruction_set}")
+
+
+def street(seed, shape=(190, 150)):
+    """Background of disparity 4, and a thing of 60 in the lower half."""
+    coarse = [cv2.resize(textured(seed + k, (50, 80)), (240, 190)) for k in (0, 1)]
+    scene, thing = (image.astype(np.uint8) for image in coarse)
+    left, right = scene[:, : shape[1]].copy(), scene[:, 4 : shape[1] + 4].copy()
+    left[130:180, 90:130], right[130:180, 30:70] = thing[:50, :40], thing[:50, :40]
+    return left, right
+
+
+@pytest.mark.parametrize("offset", [0, 5])
+def test_each_strip_searches_what_the_small_pair_shows(offset):
+    left, right = street(3)
+    options = reference.Settings(disparities=128, offset=offset, median=True)
+    expected = reference.searched_rows(left, right, options)
+    assert expected[0] == 48
+    assert 68 - offset <= expected[-20] <= 80 - offset
+    config = StereoConfig(disparities=128, min_disparity_px=offset)
+    for kind in INSTRUCTION_SETS:
+        assert (
+            make(options, instruction_set=kind, search_strips=True).searched(left, right)
+            == expected
+        )
+    matcher = make_matcher(config)
+    assert len(set(matcher.searched_rows(left, right))) > 1
+    near = matcher.match(left, right).left[140:170, 100:120]
+    assert np.nanmedian(np.abs(near - 60)) < 0.1
+    assert np.isfinite(near).mean() > 0.9
+    full = make_matcher(config.model_copy(update={"search": "full"}))
+    assert full.searched_rows(left, right) == [128] * 190
+
+
+@pytest.mark.parametrize("searched", [[16] * 39, [17] * 40, [0] * 40, [16] * 10 + [8] * 30])
+def test_counts_that_no_strip_can_have_are_refused(searched):
+    left = np.zeros((40, 30), dtype=np.uint8)
+    with pytest.raises(ValueError, match="one count for each row"):
+        run(left, left, reference.Settings(), searched=searched)
 
 
 def textured(seed, shape, top=255):

@@ -1,4 +1,4 @@
-"""The localizer at work on a stream: one thread reads, one looks at pictures, one asks."""
+"""The localizer at work on a stream: a thread reads, one matches, one looks, one asks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite, nan
+from queue import Empty, Full, Queue
 from threading import Condition, Event, Thread
 
 import numpy as np
@@ -28,6 +29,7 @@ from polemap.localize.pose_queue import PoseUpdate
 from polemap.localize.replay import Run
 from polemap.map.city.city_map import CityMap
 from polemap.map.pole_map import PoleMap
+from polemap.matching_ahead import MatchedFrame
 from polemap.perception import PolePerception
 from polemap.settings import Settings
 from polemap.tools.follow.source import Followed, Sample
@@ -48,6 +50,7 @@ _AHEAD_S = 1.0
 
 # samples that wait for their time, and how often it is looked whether it has come
 _MOST_HELD, _LOOK_S = 2000, 0.004
+_WAIT_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,7 @@ class Engine:
         self._followed, self._rate_hz = followed, settings.localize.output.rate_hz
         self._updates: list[PoseUpdate] = []
         perception = PolePerception(car.rig, settings.polemap, stereo=settings.stereo)
+        self._match = perception.matched
         self._tracker = PolePerception(car.rig, settings.polemap, stereo=settings.stereo)
         self._localizer = Localizer(
             pole_map,
@@ -109,6 +113,8 @@ class Engine:
         self._trace = OutputTrace()
         self._odometry, self._gnss = array("d"), array("d")
         self._views: deque[PendingFrame | Detections] = deque()
+        # one frame is matched while the one before is looked at and localized
+        self._matched: Queue[tuple[float, MatchedFrame | Detections] | None] = Queue(maxsize=1)
         self._waiting = Condition()
         self._all_read, self._read_all, self._stop = False, False, Event()
         self._error: BaseException | None = None
@@ -131,7 +137,11 @@ class Engine:
         """
         threads = [
             Thread(target=self._guarded, args=(work,), name=name, daemon=True)
-            for work, name in ((self._read, "reader"), (self._look, "pictures"))
+            for work, name in (
+                (self._read, "reader"),
+                (self._match_views, "matching"),
+                (self._look, "pictures"),
+            )
         ]
         sources = [threads[0]]
         if self._delay_s > 0.0:
@@ -158,7 +168,8 @@ class Engine:
             with self._waiting:
                 self._read_all = True
                 self._waiting.notify_all()
-            threads[1].join()
+            for thread in threads[1:3]:
+                thread.join()
         self._ticks(number, send)
         if self._error is not None:
             raise self._error
@@ -288,28 +299,61 @@ class Engine:
                 self.counts["frames_skipped"] += 1
             return self._views.popleft() if self._views else None
 
+    def _match_views(self) -> None:
+        """One frame ahead of `_look`."""
+        try:
+            while (view := self._next_view()) is not None:
+                begin = time.perf_counter()
+                if isinstance(view, PendingFrame):
+                    try:
+                        self._pass_on((begin, self._match(view.decoded())))
+                    except PolemapError as error:
+                        self._leave_out(error)
+                else:
+                    self._pass_on((begin, view))
+        finally:
+            self._pass_on(None)
+
+    def _pass_on(self, view: tuple[float, MatchedFrame | Detections] | None) -> None:
+        passed = False
+        while not passed and self._error is None:
+            try:
+                self._matched.put(view, timeout=_WAIT_S)
+                passed = True
+            except Full:
+                continue
+
     def _look(self) -> None:
-        while (view := self._next_view()) is not None:
-            begin = time.perf_counter()
-            self._process(view)
-            spent = time.perf_counter() - begin
+        while self._error is None:
+            try:
+                taken = self._matched.get(timeout=_WAIT_S)
+            except Empty:
+                continue
+            if taken is None:
+                return
+            self._process(taken[1])
+            spent = time.perf_counter() - taken[0]
             known = isfinite(self.perception_s)
             self.perception_s += 0.1 * (spent - self.perception_s) if known else 0.0
             self.perception_s = self.perception_s if known else spent
 
-    def _process(self, view: PendingFrame | Detections) -> None:
+    def _process(self, view: MatchedFrame | Detections) -> None:
         try:
-            if isinstance(view, PendingFrame):
-                self._localizer.add_sample(view.decoded())
+            if isinstance(view, MatchedFrame):
+                self._localizer.add_sample(view)
             else:
                 while self._for_tracker:
                     self._tracker.record_odometry(self._for_tracker.popleft())
                 self._localizer.add_sample(self._tracker.track_scan(view))
-        except PolemapError as error:  # damaged, or pictures that do not fit the camera
-            self.counts["frames_unusable"] += 1
-            self._followed.reasons.setdefault("frames_unusable", str(error))
+        except PolemapError as error:
+            self._leave_out(error)
             return
         self.counts["frames_looked_at"] += 1
+
+    def _leave_out(self, error: PolemapError) -> None:
+        """Damaged, or pictures that do not fit the camera."""
+        self.counts["frames_unusable"] += 1
+        self._followed.reasons.setdefault("frames_unusable", str(error))
 
 
 def _recorded_s(sample: Sample) -> float:
