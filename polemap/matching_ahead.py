@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from queue import Empty, Queue
 from threading import Event, Semaphore, Thread
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from polemap.drivelog.samples import StereoFrame
 from polemap.stereo.matching import DisparityPair
@@ -24,8 +24,8 @@ class MatchedFrame(StereoFrame):
 
 
 def match_ahead(
-    samples: Iterable[_Sample | StereoFrame], match: Callable[[StereoFrame], MatchedFrame]
-) -> Iterator[_Sample | StereoFrame]:
+    samples: Iterable[_Sample], match: Callable[[StereoFrame], MatchedFrame]
+) -> Iterator[_Sample]:
     """The samples in their order, frames with their disparity.
 
     A thread reads and matches one frame ahead; the matcher's compiled loops leave Python free for
@@ -34,7 +34,7 @@ def match_ahead(
     Raises:
         Exception: what reading or matching raised, at the sample's turn.
     """
-    coming: Queue[_Sample | StereoFrame | BaseException | None] = Queue()
+    coming: Queue[_Sample | BaseException | None] = Queue()
     room, stop = Semaphore(1 + _FRAMES_AHEAD), Event()
 
     def read() -> None:
@@ -44,7 +44,7 @@ def match_ahead(
                     while not room.acquire(timeout=_LOOK_S):
                         if stop.is_set():
                             return
-                    coming.put(match(sample))
+                    coming.put(cast(_Sample, match(sample)))
                 else:
                     coming.put(sample)
                 if stop.is_set():

@@ -114,7 +114,8 @@ class CensusSgm:
                 f"the images hold values above {2**bits - 1}, more than {bits} bits: "
                 "raise uint16_bits in the stereo settings"
             )
-        return self._by_bits[bits], (np.ascontiguousarray(left), np.ascontiguousarray(right))
+        pair: Any = np.ascontiguousarray(left), np.ascontiguousarray(right)
+        return self._by_bits[bits], pair
 
     def _make(self, bits: int) -> Any:
         config, penalties, options = self._config, self._config.penalties, self._options

@@ -12,6 +12,7 @@ at and localized. Latency is from the moment a frame is taken up to its pose.
 from __future__ import annotations
 
 import time
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from polemap.simulate.truth import true_map
 from polemap.stereo.config import StereoConfig
 from polemap.stereo.rig import StereoRig
 
+SEARCHES: tuple[Literal["full", "strips"], ...] = ("full", "strips")
 _WORLD, _SEED, _RATE_HZ, _BEGIN_S, _FRAMES, _ROUNDS = "avenue", 511, 10.0, 6.0, 40, 7
 Floats = NDArray[np.float64]
 Pose = tuple[float, Floats]
@@ -41,7 +43,7 @@ def run() -> dict[str, dict[str, float]]:
     rig, samples, pole_map, start = _street()
     variants = {
         f"{search}_{threads}threads{'_ahead' if ahead else ''}": (search, threads, ahead)
-        for search in ("full", "strips")
+        for search in SEARCHES
         for threads in (1, 2)
         for ahead in (False, True)
     }
@@ -50,7 +52,7 @@ def run() -> dict[str, dict[str, float]]:
     poses: list[Floats] = []
     for number in range(_ROUNDS + 1):  # the first allocates
         for name, (search, threads, ahead) in variants.items():
-            stereo = StereoConfig(search=search, threads=threads)  # type: ignore[arg-type]
+            stereo = StereoConfig(search=search, threads=threads)
             begin = time.perf_counter()
             late, pose = _localize(rig, samples, pole_map, start, stereo, ahead)
             if number == 0:
