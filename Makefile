@@ -6,7 +6,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp)
 
-.PHONY: setup demo test check check-docs lint bench city campaign docs site lock clean
+.PHONY: setup demo test check check-docs lint bench city campaign figures docs site lock clean
 
 setup: .venv/.ready
 
@@ -32,7 +32,12 @@ lint: setup
 check: lint test
 
 # what the docs name and CI has no time for
-check-docs: setup
+check-# Tables I to III and Figures 5 to 8 of the source paper, and the worlds that are set aside
+figures: setup
+	$(BIN)/python -m benchmarks.figures --out figures
+	$(BIN)/python -m benchmarks.localize.set_aside --rows figures/set_aside.jsonl
+
+docs: setup
 	$(BIN)/python -m pytest -m docs tests/test_docs_commands.py
 
 bench: setup

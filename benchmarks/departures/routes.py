@@ -74,11 +74,13 @@ class Route:
     missing: Path | None = None
 
 
-def _simulated(route: str, seed: int, settings: Settings, folder: Path) -> Course:
+def simulated(
+    route: str, seed: int, settings: Settings, folder: Path, rate_hz: float = RATE_HZ
+) -> Course:
     """Two laps past a detector without pictures; the second in the map of the first."""
     place = folder / f"{route}_{seed}"
     if not place.exists():
-        config = SimulateConfig(detector=DetectorConfig(rate_hz=RATE_HZ))
+        config = SimulateConfig(detector=DetectorConfig(rate_hz=rate_hz))
         # what the drive folder lacks is written beside it, last
         simulate_drive(_scenario(route), place, 2, seed, config, objects=True, images=False,
                        scans=True)  # fmt: skip
@@ -86,13 +88,19 @@ def _simulated(route: str, seed: int, settings: Settings, folder: Path) -> Cours
     first, second = (drive.lap(lap.name) for lap in drive.laps)
     scans = scan_drive(first, settings.polemap)
     pole_map = build_map([first], settings.polemap, lambda _: scans).pole_map
-    table = np.genfromtxt(place / "truth.csv", delimiter=",", names=True)
+    scans = scan_drive(second, settings.polemap)
+    return Course(second, pole_map, tuple(scans), truth_of(place))
+
+
+def truth_of(folder: Path) -> Callable[[Floats], Floats]:
+    """Poses `(n, 3)` of a simulated drive's truth at stamps `(n,)`."""
+    table = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
     columns = [table["east_m"], table["north_m"], np.unwrap(table["yaw_rad"])]
 
     def truth(stamps_s: Floats) -> Floats:
         return np.column_stack([np.interp(stamps_s, table["stamp_s"], c) for c in columns])
 
-    return Course(second, pole_map, tuple(scan_drive(second, settings.polemap)), truth)
+    return truth
 
 
 @cache
@@ -159,7 +167,7 @@ def _kitti_03(seed: int, settings: Settings, folder: Path) -> Course:
 
 _FILTERS: tuple[Concern, ...] = ("tracks", "particles", "output")
 ROUTES: dict[str, Route] = {
-    **{name: Route(_FILTERS, partial(_simulated, name)) for name in SIMULATED},
+    **{name: Route(_FILTERS, partial(simulated, name)) for name in SIMULATED},
     "faults": Route(("particles", "output"), _faults),
     "victoria_park": Route(
         _FILTERS, _victoria_park, None if VICTORIA_PARK.exists() else VICTORIA_PARK
