@@ -233,7 +233,7 @@ PYBIND11_MODULE(census_kernel, module) {
            py::arg("subpixel"), py::arg("median"), py::arg("tolerance"), py::arg("speckle_px"),
            py::arg("speckle_rows"), py::arg("speckle_step_px"), py::arg("outside_cost"),
            py::arg("cost_weight"), py::arg("threads"), py::arg("instruction_set"),
-           py::arg("search_strips"))
+           py::arg("search_strips") = false)
       .def_property_readonly("instruction_set", &CensusMatcher::instruction_set)
       .def("match", &CensusMatcher::match<std::uint8_t>, py::arg("left").noconvert(),
            py::arg("right").noconvert(), py::arg("searched") = std::vector<int>())
