@@ -78,6 +78,7 @@ def with_odometry(
         f"odometry is of wheels and camera ({steps}{unknown}): wheel speed x "
         f"{1.0 / fused.wheel_scale:.4f}, yaw rate {-fused.yaw_offset_radps:+.5f} rad/s, "
         f"{fused.replaced} steps where wheels contradict the camera, {fused.filled} holes filled"
+        + (f", {fused.refused} steps of the camera refused" if fused.refused else "")
     )
     return replace(drive, odometry=fused.stream, notes=(*drive.notes, note))
 

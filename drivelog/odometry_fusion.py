@@ -4,7 +4,9 @@ Over every step of the camera the wheels' mean speed is `s v` and their yaw rate
 and `w` are the camera's. A Kalman filter follows `s` and `b`. The wheels fill in between the
 pictures, divided by what of `s` is theirs; where a step contradicts the camera by more than both
 can err (a wheel that slips, locks, spins or reads zero), the camera's step stands in its place, and
-where the camera knows nothing the wheels go on alone.
+where the camera knows nothing the wheels go on alone. The camera is the one that is wrong where its
+speed, and not that of the wheels, jumped as no car's does since both last agreed (a bus that fills
+the view): then it counts for nothing until they agree again.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ _SCALE_WALK, _YAW_OFFSET_WALK_RADPS = 2e-4, 1e-5
 _SPEED_SD_MPS, _SPEED_SHARE_SD = 0.05, 0.01
 _YAW_SD_RADPS, _YAW_SHARE_SD = 0.004, 0.03
 _GATE = 4.0
+# between pictures no car changes by more than this acceleration, and noise
+_ACCELERATION_MAX_MPS2, _JUMP_FREE_MPS = 10.0, 0.5
 # wheels report every 10 to 50 ms: longer is a hole
 _HOLE_S = 0.2
 
@@ -43,6 +47,7 @@ class FusedOdometry:
         yaw_offset_radps: of the wheels' or gyro's yaw rate, at the end.
         replaced: camera steps that stand in the place of the wheels' samples.
         filled: camera steps where the wheels have a hole.
+        refused: camera steps that the wheels show to be wrong.
     """
 
     stream: OdometryStream
@@ -50,6 +55,7 @@ class FusedOdometry:
     yaw_offset_radps: float
     replaced: int
     filled: int
+    refused: int
 
 
 def fuse_odometry(wheels: OdometryStream, camera: CameraTrack) -> FusedOdometry:
@@ -67,7 +73,9 @@ def fuse_odometry(wheels: OdometryStream, camera: CameraTrack) -> FusedOdometry:
     scale_var = _WHEEL_SCALE_SD**2 + _CAMERA_SCALE_SD**2
     offset_var = _YAW_OFFSET_SD_RADPS**2
     corrected_to = 0
-    replaced, filling = 0, []
+    replaced, filling, refused = 0, [], 0
+    agreed: tuple[float, float, float] | None = None
+    camera_wrong = False
     for row in range(len(steps)):
         low, high = int(first[row]), int(last[row])
         # causal: what arrived before this picture was corrected by what was known then
@@ -89,10 +97,21 @@ def fuse_odometry(wheels: OdometryStream, camera: CameraTrack) -> FusedOdometry:
         wrong = told - scale * v, told_yaw - offset - w
         spread = v * v * scale_var + noise, offset_var + noise_yaw
         if abs(wrong[0]) > _GATE * sqrt(spread[0]) or abs(wrong[1]) > _GATE * sqrt(spread[1]):
+            if agreed is not None:
+                # who jumped is told by the first step that differs; later ones follow it
+                waited_s = float(steps.stamp_s[row]) - agreed[0]
+                camera_wrong = _jumps(v - agreed[1], waited_s) and not _jumps(
+                    (told - agreed[2]) / scale, waited_s
+                )
+                agreed = None
+            if camera_wrong:
+                refused += 1
+                continue
             speed[low:upto], yaw_rate[low:upto] = v * scale ** (1.0 - of_scale), w
             arrival[low:upto] = np.maximum(arrival[low:upto], steps.arrival_s[row])
             replaced += 1
             continue
+        agreed, camera_wrong = (float(steps.stamp_s[row]), v, told), False
         scale += scale_var * v / spread[0] * wrong[0]
         scale_var *= noise / spread[0]
         offset += offset_var / spread[1] * wrong[1]
@@ -108,7 +127,11 @@ def fuse_odometry(wheels: OdometryStream, camera: CameraTrack) -> FusedOdometry:
         np.concatenate([speed, steps.speed_mps[rows]])[keep],
         np.concatenate([yaw_rate, steps.yaw_rate_radps[rows]])[keep],
     )
-    return FusedOdometry(stream, scale**of_scale, offset, replaced, len(rows))
+    return FusedOdometry(stream, scale**of_scale, offset, replaced, len(rows), refused)
+
+
+def _jumps(change_mps: float, seconds: float) -> bool:
+    return abs(change_mps) > _JUMP_FREE_MPS + _ACCELERATION_MAX_MPS2 * seconds
 
 
 def _correct(speed: Floats, yaw_rate: Floats, rows: slice, scale: float, offset: float) -> None:

@@ -200,7 +200,7 @@ def _solved(information: Floats, gradient: Floats) -> Floats:
 
 
 def inverse_symmetric(matrices: Floats) -> Floats:
-    """Inverses of symmetric matrices `(n, 3, 3)`, by cofactors."""
+    """Inverses of positive definite matrices `(n, 3, 3)`, by cofactors."""
     (a, b, c), (_, d, e), (_, _, f) = np.moveaxis(matrices, 0, 2)
     cofactors = np.array(
         [
@@ -210,6 +210,8 @@ def inverse_symmetric(matrices: Floats) -> Floats:
         ]
     )
     determinant = a * cofactors[0, 0] + b * cofactors[0, 1] + c * cofactors[0, 2]
+    # Hadamard: at most a d f; what is lost to rounding must not become a division by zero
+    determinant = np.maximum(determinant, 1e-15 * a * d * f)
     return np.ascontiguousarray(np.moveaxis(cofactors / determinant, 2, 0))
 
 

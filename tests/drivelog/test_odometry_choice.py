@@ -84,6 +84,39 @@ def test_wheels_that_slip_are_found_by_the_camera(factor: float, seconds: float)
     assert (fused.stream.arrival_s[inside] > fused.stream.stamp_s[inside]).all()
 
 
+@pytest.mark.parametrize("seen_mps", [0.0, 14.0])
+def test_a_camera_that_follows_a_bus_is_found_by_the_wheels(seen_mps: float) -> None:
+    camera = _camera()
+    stamps = camera.planar.stamp_s
+    beside = (stamps > 30.0) & (stamps < 33.0)
+    speed = np.where(beside, seen_mps, camera.planar.speed_mps)
+    # at first it knew nothing
+    known = ~((stamps > 30.0) & (stamps < 30.25))
+    planar = replace(camera.planar, speed_mps=speed).take(known)
+    fused = fuse_odometry(_wheels(), replace(camera, planar=planar))
+    assert fused.replaced == 0
+    assert fused.refused == pytest.approx(27, abs=2)
+    inside = (fused.stream.stamp_s > 30.0) & (fused.stream.stamp_s < 33.0)
+    true = _speed(fused.stream.stamp_s[inside])
+    assert fused.stream.speed_mps[inside] == pytest.approx(true, rel=0.006)
+
+
+def test_wheels_that_freeze_are_found_by_the_camera() -> None:
+    """They do not jump, the camera does not either: it is the wheels that are too smooth."""
+    wheels = _wheels()
+    frozen = (wheels.stamp_s > 30.0) & (wheels.stamp_s < 36.0)
+    speed = np.where(
+        frozen, wheels.speed_mps[~frozen & (wheels.stamp_s < 30.0)][-1], wheels.speed_mps
+    )
+    fused = fuse_odometry(replace(wheels, speed_mps=speed), _camera())
+    assert fused.replaced > 30
+    assert fused.refused == 0
+    late = (fused.stream.stamp_s > 33.0) & (fused.stream.stamp_s < 36.0)
+    assert fused.stream.speed_mps[late] == pytest.approx(
+        _speed(fused.stream.stamp_s[late]), abs=0.35
+    )
+
+
 def test_holes_of_the_wheels_are_filled_and_of_the_camera_bridged() -> None:
     wheels = _wheels()
     wheels = wheels.take((wheels.stamp_s < 20.0) | (wheels.stamp_s > 24.0))
