@@ -75,7 +75,8 @@ class Record:
 class Watched(Forwarding):
     """An estimator that keeps a record; it changes nothing of what the estimator does.
 
-    A late value is compared with what the estimator held at its capture. `every` is how many fast
+    A late value is compared with what the estimator held at its capture, where it tells the same: a
+    heading in the lane is none from which a course is counted. `every` is how many fast
     values pass between two that are looked at.
     """
 
@@ -87,6 +88,8 @@ class Watched(Forwarding):
         self._held: dict[tuple[str, float], Estimate] = {}
         self._count, self._stamp_s = 0, 0.0
         self._dropped = 0
+        self._in_lane = "lateral_offset_m" in inner.fields
+        self._pictures = False
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
         """Predict."""
@@ -109,7 +112,9 @@ class Watched(Forwarding):
                 self._compare(kind, (float(value),), stamp_s, self._inner.estimate())  # type: ignore[arg-type]
         elif kind in MEASURED:
             held = self._held.pop((kind, stamp_s), None)
-            if held is not None:
+            self._pictures |= kind == CAMERA
+            tells = self._in_lane if kind == CAMERA else not (self._in_lane and self._pictures)
+            if held is not None and tells:
                 self._compare(kind, tuple(np.ravel(np.asarray(value)).tolist()), stamp_s, held)
         before = dict(self._inner.dropped) if kind in MEASURED else {}
         self._inner.measure(kind, value, stamp_s, arrival_s)

@@ -109,6 +109,13 @@ class Together:
         for one in self._all:
             one.measure(kind, value, stamp_s, arrival_s)
 
+    def doubt(self) -> None:
+        """Those that know how."""
+        for one in self._all:
+            doubt = getattr(one, "doubt", None)
+            if doubt is not None:
+                doubt()
+
     def estimate(self) -> Estimate:
         """Their side-slips."""
         slips = np.array([one.estimate().value("sideslip_rad") for one in self._all])

@@ -96,7 +96,9 @@ class NonlinearKalman:
         self._limits = self._axles.limits(0.0)
         selection = np.zeros((1, SIZE))
         selection[0, BETA] = selection[0, PSI] = 1.0
-        self._filter = ClonedFilter(np.zeros(SIZE), start_covariance(), selection, config.gps_slots)
+        start = start_covariance()
+        self._start_variance = start.diagonal().copy()
+        self._filter = ClonedFilter(np.zeros(SIZE), start, selection, config.gps_slots)
         self._transition = np.eye(SIZE)
         self._noise, self._grade = ProcessNoise(car, config.heading_walk_rad), GradeKalman()
         self._gyro_row, self._ay_row = np.zeros(self._filter.size), np.zeros(self._filter.size)
@@ -273,6 +275,11 @@ class NonlinearKalman:
             self._take(row, residual, sd_rad * sd_rad, "gps course")
             self._bridge.corrected(self._clock.stamp_s, before, self._with_grade())
         f.release(stamp_s)
+
+    def doubt(self) -> None:
+        """What was learned of sensors, road and tyres may be a faulty sensor's: as open as ever."""
+        for index in range(FORCE, SIZE):
+            self._filter.p[index, index] += self._start_variance[index]
 
     def _count(self, reason: str) -> None:
         self.dropped[reason] = self.dropped.get(reason, 0) + 1

@@ -28,6 +28,7 @@ from polemap.electric.isolation.suspicion import TOGETHER_S, Fault, Suspicions
 from polemap.vehicle.parameters import Car
 
 LATE = {CAMERA_KIND: CAMERA, GPS_KIND: GPS}
+SILENT = "silent"
 _ROWS_MIN = 4
 # a value that stands for so long is the guilty one of two that contradict each other
 _STILL_S = 0.4
@@ -131,7 +132,7 @@ class Isolator:
                 self._judgement.accuse(name, now_s, 0.0, what)
         for name, late in self._late.items():
             if moving and late.silent(now_s):
-                self._judgement.accuse(name, now_s, 0.0, "silent")
+                self._judgement.accuse(name, now_s, 0.0, SILENT)
 
     def noise(self, name: str) -> float:
         """What a fast sensor scatters by itself, 0 until that is learned."""
@@ -168,7 +169,8 @@ class Isolator:
 
     def course_offset(self) -> float:
         """What the newest course is ahead of the one before its fault and the gyro's turn since."""
-        if GYRO in self.faulty:
+        if GYRO in self.faulty or self._suspicions.what(GPS) == SILENT:
+            # side-slip and the gyro's own drift: a course that was only away is as good as before
             return 0.0
         return self._late[GPS].ahead_since(self._suspicions.since_s(GPS) - 1.0)
 

@@ -40,11 +40,12 @@ class Fault:
 class _Suspicion:
     """What speaks against one sensor."""
 
-    __slots__ = ("count", "fault", "first_s", "hold_s", "last_s", "valid_s", "window_s")
+    __slots__ = ("count", "fault", "first_s", "hold_s", "last_s", "valid_s", "what", "window_s")
 
     def __init__(self) -> None:
         self.first_s = self.last_s = self.valid_s = float("-inf")
         self.count, self.hold_s, self.window_s = 0, TRUST_S, 0.0
+        self.what = ""
         self.fault: Fault | None = None
 
 
@@ -77,7 +78,7 @@ class Suspicions:
         if not lasting or (window_s and suspicion.count < _TIMES):
             return False
         self.faulty.add(name)
-        suspicion.window_s = window_s
+        suspicion.window_s, suspicion.what = window_s, what
         suspicion.fault = Fault(name, what, suspicion.first_s, now_s, now_s)
         self.faults.append(suspicion.fault)
         return True
@@ -90,6 +91,10 @@ class Suspicions:
     def since_s(self, name: str) -> float:
         """First evidence of the newest accusation."""
         return self._of[name].first_s
+
+    def what(self, name: str) -> str:
+        """The evidence for which a sensor was last held for faulty."""
+        return self._of[name].what
 
     def comparable(self, name: str, start_s: float) -> bool:
         """Whether what a sensor said from `start_s` on was all said while it was sound."""

@@ -80,6 +80,7 @@ class FaultTolerant(Forwarding):
         if not {YAW_RATE, LATERAL_ACCELERATION} <= set(needs):
             self._together = set()
         self._isolator: Isolator | None = None
+        self._found = len(faults)
         self._faulty: set[str] = set()
         self._returned_s: dict[str, float] = {}
         self._last: Inputs | None = None
@@ -120,9 +121,18 @@ class FaultTolerant(Forwarding):
                         self._course_off_rad, self._course_since_s = float("nan"), stamp_s
                 self._steering_leaps.noise = isolator.noise(alone.STEERING)
                 self._gyro_leaps.noise = isolator.noise(alone.GYRO)
+        if len(self._faults) > self._found:
+            self._doubt()
         if self._faulty or self._returned_s:
             inputs = self._mended(isolator, inputs)
         self._inner.step(stamp_s, inputs)
+
+    def _doubt(self) -> None:
+        """A sensor was believed while votes gathered against it: what it taught is open again."""
+        new, self._found = self._faults[self._found :], len(self._faults)
+        doubt = getattr(self._inner, "doubt", None)
+        if doubt is not None and any(f.found_s > f.from_s and " or " not in f.sensor for f in new):
+            doubt()
 
     def _leapt(self, name: str, leaps: Leaps, value: float, stamp_s: float) -> None:
         """Accuse a sensor whose step has lasted."""

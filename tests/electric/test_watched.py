@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.electric.fault_drives import driven
 from polemap.electric.config import EstimatorConfig
 from polemap.electric.estimators.base import CAMERA, Estimate, Inputs, Value
 from polemap.electric.estimators.registry import make_estimator
@@ -79,3 +80,18 @@ def test_refused_values_in_a_row_are_one_fault() -> None:
     assert watched.gate == "mine"
     assert abs(record.innovations["heading_rad"].value[0]) < 0.02  # a turn less
     assert watched.covariance().shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "signals"),
+    [
+        ("nonlinear", {"yaw_rate_radps", "course_rad"}),
+        ("clones", {"yaw_rate_radps", "heading_rad", "lateral_offset_m"}),
+    ],
+)
+def test_only_what_tells_the_same_is_compared(name: str, signals: set[str]) -> None:
+    """A log has camera and GPS: a heading in the lane is none from which a course is counted."""
+    log = driven(load_car("passat"), "country", 4.0, seed=3).log
+    record, config = Record(), EstimatorConfig(step_s=0.01)
+    play(Watched(make_estimator(name, load_car("passat"), config), config, record), log)
+    assert set(record.innovations) == signals

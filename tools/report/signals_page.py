@@ -161,7 +161,9 @@ def _history(
         mean = scale * at_reference
     reference = REFERENCES.get(field, field)
     truth = log.columns.get(reference) if reference else None
-    measured = log.columns.get(field) if field in ("heading_rad", "lateral_offset_m") else None
+    # where there is an offset, headings are in the lane
+    seen = field in ("heading_rad", "lateral_offset_m") and "lateral_offset_m" in played.fields
+    measured = log.columns.get(field) if seen else None
     with drawing(9.0, 2.9) as figure:
         axes = figure.subplots()
         _shade(axes, faults)

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.electric.fault_drives import CHANNELS, STYLES, driven, faulty
 from polemap.electric.config import EstimatorConfig
-from polemap.electric.estimators.base import Estimate
+from polemap.electric.estimators.base import GPS, Estimate
 from polemap.electric.estimators.registry import ESTIMATORS, make_estimator
 from polemap.electric.isolation.suspicion import Fault
 from polemap.electric.isolation.tolerant import FaultTolerant
@@ -153,3 +153,40 @@ def test_slow_driving_acquits_nobody() -> None:
         fault for fault in faults_in(SignalLog(log.stamp_s, columns)) if "gyro" in fault.sensor
     ]
     assert found[-1].to_s > 21.9
+
+
+def test_what_a_fault_taught_is_forgotten() -> None:
+    """Found late, a gyro had moved biases and roll, which would be wrong for minutes."""
+    clean = driven(CAR, "brisk", 34.0, seed=811).log
+    ramp = np.clip((clean.stamp_s - 15.0) / 0.3, 0.0, 1.0) * (clean.stamp_s < 22.0)
+    rate = clean.columns["yaw_rate_radps"] + 0.1 * ramp
+    log = SignalLog(clean.stamp_s, {**clean.columns, "yaw_rate_radps": rate})
+    found: list[Fault] = []
+    made = FaultTolerant(make_estimator("nonlinear", CAR, CONFIG), CAR, CONFIG, (), found)
+    slip = play(made, log).column("sideslip_rad")
+    assert found[0].sensor == "gyro"
+    assert found[0].found_s > found[0].from_s
+    off = np.degrees(slip - log.columns["sideslip_rad"])[log.stamp_s > 28.0]
+    assert float(np.sqrt(np.mean(off**2))) < 0.25
+
+
+def test_a_course_that_was_only_silent_is_believed_as_it_comes() -> None:
+    """What the car slid meanwhile is no fault of the course."""
+    clean = driven(CAR, "brisk", 20.0, seed=15).log
+    away = (clean.stamp_s > START_S) & (clean.stamp_s < START_S + 4.0)
+    course = np.where(away, np.nan, clean.columns["course_rad"])
+    heard: list[tuple[float, float]] = []
+
+    class Hears(Deaf):
+        def measure(self, kind: str, value: object, stamp_s: float, _: float) -> None:
+            if kind == GPS:
+                heard.append((stamp_s, value[0]))  # type: ignore[index]
+
+    log = SignalLog(clean.stamp_s, {**clean.columns, "course_rad": course})
+    found: list[Fault] = []
+    play(FaultTolerant(Hears(), CAR, CONFIG, (), found), log)
+    assert [fault.what for fault in found if fault.sensor == "GPS"] == ["silent"]
+    late = [(s, c) for s, c in heard if s > START_S + 4.0]
+    assert late
+    rows = np.searchsorted(clean.stamp_s, [s for s, _ in late])
+    assert [c for _, c in late] == course[rows].tolist()
