@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from polemap.build.slam.condense import Condensed, condense
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.io import read_condensed, write_condensed
 from polemap.build.slam.motion import MotionNoise
-from polemap.build.slam.skeleton import solve_condensed
+from polemap.build.slam.skeleton import CondensedBuilder, solve_condensed
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.vehicle.pose import relative
@@ -30,6 +31,7 @@ from tests.polemap.build.slam.loops import (
 
 pytest.importorskip("gtsam")
 Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
 KEY = "0" * 32
 
 
@@ -133,3 +135,28 @@ def test_without_fixes_the_nodes_stand_in_a_local_frame(sims: list[Simulated]) -
     assert result.frame.name == "taxi"
     _, laid = pose_errors(result, sims[0].truth)
     assert np.quantile(laid, 0.95) < 0.6
+
+
+def test_where_a_drive_is_lost_its_nodes_are_found_by_patterns(parts: list[Condensed]) -> None:
+    """The second drive is believed to be 60 m aside, and known to 40 m."""
+    state = solve_condensed(parts, MappingConfig(), SlamConfig())[0]._state
+    builder = CondensedBuilder(parts, MappingConfig(), SlamConfig(), parts[0].frame)
+    submaps = builder.submaps(state)
+    anchors = np.array([submap.anchor for submap in submaps])
+    solved = state.solution.poses[anchors]
+    second = np.array([submap.route for submap in submaps]) == 1
+    believed = solved + np.where(second[:, np.newaxis], [0.0, 60.0, 0.0], 0.0)
+
+    class Lost:
+        def covariance(self, rows: Whole, _points: Whole) -> Floats:
+            astray = np.repeat(rows >= len(parts[0].stamp_s), 3).astype(np.float64)
+            sd = astray * np.tile([40.0, 40.0, 0.3], len(rows))
+            alike = np.tile(np.arange(3), len(rows))
+            return np.outer(sd, sd) * (alike[:, None] == alike) + 1e-4 * np.eye(len(sd))
+
+    graph: Any = Lost()
+    found = builder.find_loops(submaps, believed, anchors, graph, set())
+    assert len(found.loops) >= 4
+    for loop in found.loops:
+        off = relative(solved[loop.first], solved[loop.second]) - loop.measured
+        assert np.hypot(*off[:2]) < 1.0
