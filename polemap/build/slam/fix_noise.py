@@ -10,6 +10,10 @@ residuals, and still more their correlation, come out too small if t is forgotte
 integrated out (flat prior), and s and T are averaged over their posterior, with the settings as a
 broad prior. What is averaged is s^2 and s^2 T: the latter is what a mean of many fixes is off by.
 
+This is what is stated of a solved map. While it is being solved the plain moments serve (`noise`):
+what the odometry still bends looks like an error of the fixes that lasts, and fixes that are
+believed to err slowly would be followed in every detail.
+
 Source: Patterson and Thompson, Recovery of inter-block information when block sizes are unequal,
 Biometrika 58(3), 1971; Harville, Bayesian inference for variance components using only error
 contrasts, Biometrika 61(2), 1974.
@@ -59,10 +63,14 @@ class FixNoise:
         return float(np.sqrt(self.sd_m**2 - self.white_m**2))
 
 
+def white_of(sd_m: float) -> float:
+    """The part of a fix's error that does not last, as far as nothing is known; most of it does."""
+    return min(GNSS_WHITE_M, 0.5 * sd_m)
+
+
 def stated_fixes(config: SlamConfig) -> FixNoise:
     """What the settings say."""
-    white = min(GNSS_WHITE_M, _WHITE_MOST * config.gnss_sd_m)
-    return FixNoise(config.gnss_sd_m, white, config.gnss_correlation_s)
+    return FixNoise(config.gnss_sd_m, white_of(config.gnss_sd_m), config.gnss_correlation_s)
 
 
 def measure_fixes(

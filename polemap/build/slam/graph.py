@@ -156,10 +156,13 @@ class Graph:
     def _links(self) -> None:
         g, p = self._gtsam, self._problem
         kernel = g.noiseModel.mEstimator.GemanMcClure.Create(self._link_scale)
+        noise = {
+            sd: g.noiseModel.Robust.Create(kernel, g.noiseModel.Isotropic.Sigma(2, sd))
+            for sd in np.unique(p.link_sd_m).tolist()
+        }
         for (first, second), sd in zip(p.link.tolist(), p.link_sd_m.tolist(), strict=True):
-            noise = g.noiseModel.Robust.Create(kernel, g.noiseModel.Isotropic.Sigma(2, sd))
             keys = self._key("l", first), self._key("l", second)
-            self._graph.add(g.BetweenFactorPoint2(*keys, np.zeros(2), noise))
+            self._graph.add(g.BetweenFactorPoint2(*keys, np.zeros(2), noise[sd]))
 
     def _known_poles(self) -> None:
         g, p = self._gtsam, self._problem

@@ -32,7 +32,7 @@ Whole = NDArray[np.int64]
 OVERLAP_M = 40.0  # anchors farther apart share too few poles
 SEARCH_SD_M = 12.0  # of a place that is less known, nothing is looked for yet
 _NEAREST = 2  # local maps of one visit that another is matched with
-_VISITS = 6  # later visits to a place that a local map is matched with: more tell nothing new
+_VISITS = 8  # later visits to a place, the nearest, that a local map is matched with
 _VISIT = 3  # local maps in a row that may show one place
 _SAME_M, _SAME_RAD = 4.0, 0.15  # places that are one
 _RECALLED_SD = np.array([1.0, 1.0, 0.05])  # of a place that patterns tell
@@ -230,8 +230,12 @@ def _candidates(
         if not len(others):
             continue
         ends = (np.diff(numbers[others]) > 1) | (np.diff(route[others]) != 0)
-        for visit in np.split(others, np.flatnonzero(ends) + 1)[:_VISITS]:
-            order = visit[np.argsort(distance[first, visit], kind="stable")]
+        visits = [
+            visit[np.argsort(distance[first, visit], kind="stable")]
+            for visit in np.split(others, np.flatnonzero(ends) + 1)
+        ]
+        visits.sort(key=lambda visit: float(distance[first, visit[0]]))
+        for order in visits[:_VISITS]:
             pairs += [
                 (first, int(second))
                 for second in order[:_NEAREST]

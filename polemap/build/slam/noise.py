@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.slam.config import SlamConfig
-from polemap.build.slam.fix_noise import FixNoise, measure_fixes, stated_fixes
+from polemap.build.slam.fix_noise import FixNoise, stated_fixes, white_of
 from polemap.build.slam.problem import Problem, Solution
 from polemap.vehicle.pose import transform_points
 
@@ -18,6 +18,10 @@ Whole = NDArray[np.int64]
 _LAGS = 30
 _SEEN_PRIOR = 200.0  # independent residuals that the settings count as
 _SEEN_FACTOR = (0.25, 10.0)
+_FIX_PRIOR = 2.0  # correlation times that they count as
+_SQUARE_MOST = 9.0  # an outlier must not decide
+_FIX_FACTOR = (0.2, 3.0)
+_CORRELATION_S = (2.0, 120.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +59,7 @@ def measure_noise(
     """The noise that explains the residuals of a solution; `fix_s`, `hdop` `(c,)` of its fixes."""
     return Noise(
         _seen(problem, solution, before.seen_variance),
-        measure_fixes(problem, solution, fix_s, hdop, config),
+        _fixes(problem, solution, fix_s, hdop, config),
     )
 
 
@@ -74,6 +78,30 @@ def _seen(problem: Problem, solution: Solution, factor: float) -> float:
     count = len(z) / total
     mean = (count * power * total + _SEEN_PRIOR) / (count + _SEEN_PRIOR)
     return float(np.clip(mean, *_SEEN_FACTOR))
+
+
+def _fixes(
+    problem: Problem, solution: Solution, fix_s: Floats, hdop: Floats, config: SlamConfig
+) -> FixNoise:
+    if not len(fix_s):
+        return stated_fixes(config)
+    poses = solution.poses[problem.fix_from]
+    antenna = transform_points(poses, problem.fix_antenna_m)
+    z = (problem.fix_m - antenna) / hdop[:, None] / config.gnss_sd_m
+    good = np.sum(z**2, axis=1) < 2.0 * _SQUARE_MOST
+    z, times = z[good], fix_s[good]
+    if len(z) < 3:
+        return stated_fixes(config)
+    step = float(np.median(np.diff(np.sort(times))))
+    lasts = 0.5 * step * _integrated(z, problem.fix_bias[good] * 0)
+    # what lasts as long as the drive is in its poses, not in the residuals
+    span = step * len(z)
+    trust = span / (span + _FIX_PRIOR * config.gnss_correlation_s)
+    # the median, as outliers are in it: of a squared normal it is 0.455
+    variance = trust * float(np.median(z**2)) / 0.455 + 1.0 - trust
+    lasting = trust * lasts + (1.0 - trust) * config.gnss_correlation_s
+    sd_m = float(config.gnss_sd_m * np.clip(np.sqrt(variance), *_FIX_FACTOR))
+    return FixNoise(sd_m, white_of(sd_m), float(np.clip(lasting, *_CORRELATION_S)))
 
 
 def _integrated(z: Floats, owner: Whole) -> float:

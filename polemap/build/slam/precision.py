@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import CALIBRATION_WALK
+from polemap.build.slam.fix_noise import FixNoise
 from polemap.build.slam.graph import Graph
-from polemap.build.slam.noise import Noise
 from polemap.build.slam.problem import Problem, Solution, seen_once
 from polemap.build.slam.tables import calibration_sd
 
@@ -36,16 +36,25 @@ class Precision:
     relative_sd_m: Floats
 
 
-def graph_to_state(problem: Problem, solution: Solution, noise: Noise, config: SlamConfig) -> Graph:
-    """The solved graph with what is to be stated of fixes where the car came by once only.
+def graph_to_state(
+    problem: Problem, solution: Solution, solved: FixNoise, fixes: FixNoise, config: SlamConfig
+) -> Graph:
+    """The solved graph with what is to be stated of fixes, those of places seen once apart.
 
     How large the errors of fixes are is measured where poles of several passes contradict them. A
     stretch that was seen once follows its fixes wherever they lead, so that nothing there tells
     whether they were as good: the settings count, not what was measured elsewhere.
+
+    Args:
+        problem, solution: the graph as solved, with fixes as in `solved`.
+        fixes: their errors as measured (`fix_noise`).
+        config: settings.
     """
     once = seen_once(problem)[problem.fix_from]
-    scale = np.maximum(config.gnss_sd_m / noise.fix.sd_m, 1.0)
-    lasts = max(config.gnss_correlation_s / noise.fix.correlation_s, 1.0)
+    scale = fixes.lasting_m / solved.lasting_m
+    lasts = fixes.correlation_s / solved.correlation_s
+    worse = max(config.gnss_sd_m / fixes.sd_m, 1.0)
+    longer = max(config.gnss_correlation_s / fixes.correlation_s, 1.0)
     change = (solution.calibration - problem.calibration)[problem.motion_calibration]
     stated = replace(
         problem,
@@ -53,8 +62,9 @@ def graph_to_state(problem: Problem, solution: Solution, noise: Noise, config: S
         points_m=solution.points_m,
         calibration=solution.calibration,
         motion=problem.motion + np.einsum("nij,nj->ni", problem.motion_jacobian, change),
-        bias_sd_m=np.where(once, scale, 1.0) * problem.bias_sd_m,
-        bias_share=np.where(once, problem.bias_share ** (1.0 / lasts), problem.bias_share),
+        fix_sd_m=problem.fix_sd_m * (fixes.white_m / solved.white_m),
+        bias_sd_m=np.where(once, worse, 1.0) * scale * problem.bias_sd_m,
+        bias_share=problem.bias_share ** (1.0 / lasts / np.where(once, longer, 1.0)),
     )
     return Graph(stated, (calibration_sd(), CALIBRATION_WALK), bias_m=solution.bias_m)
 

@@ -12,6 +12,7 @@ from polemap.build.config import MappingConfig
 from polemap.build.slam.association import Seen, poles, see
 from polemap.build.slam.config import SlamConfig
 from polemap.build.slam.constants import CALIBRATION_WALK, KEYFRAME_M, ROUNDS_MOST, SUBMAP_M
+from polemap.build.slam.fix_noise import FixNoise, measure_fixes
 from polemap.build.slam.graph import LINK_SCALE, Graph
 from polemap.build.slam.known import KnownPoles
 from polemap.build.slam.loop import STRAIN_PROBABILITY, Found, Loop
@@ -106,6 +107,12 @@ class Builder:
         fix_s = np.concatenate([route.fix_s for route in state.routes])
         hdop = np.concatenate([route.hdop for route in state.routes])
         return measure_noise(state.problem, state.solution, state.noise, fix_s, hdop, self.config)
+
+    def fixes(self, state: State) -> FixNoise:
+        """The noise of the fixes that is to be stated of a solved state."""
+        fix_s = np.concatenate([route.fix_s for route in state.routes])
+        hdop = np.concatenate([route.hdop for route in state.routes])
+        return measure_fixes(state.problem, state.solution, fix_s, hdop, self.config)
 
     def submaps(self, state: State) -> list[Submap]:
         """The local maps that loops are looked for with."""

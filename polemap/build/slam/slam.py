@@ -289,8 +289,9 @@ def result_of(
     starts = pose_starts(state.routes)
     submaps = np.array([submap.anchor for submap in builder.submaps(state)], dtype=np.int64)
     anchors = anchor_keyframes(starts, submaps, every)
-    stated = graph_to_state(state.problem, state.solution, state.noise, builder.config)
-    state = replace(state, graph=stated)
+    fixes = builder.fixes(state)
+    graph = graph_to_state(state.problem, state.solution, state.noise.fix, fixes, builder.config)
+    state = replace(state, graph=graph, noise=replace(state.noise, fix=fixes))
     precision = pose_precision(state.graph, state.solution, anchors, starts)
     references, trajectories = [], []
     for number, (route, looked) in enumerate(zip(state.routes, stamps_s, strict=True)):
