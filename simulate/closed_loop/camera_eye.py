@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.config import PolemapConfig
+from polemap.drivelog.camera_motion import planar_step
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.samples import Image, OdometrySample, StereoFrame
 from polemap.electric.control.path import Path
@@ -18,6 +19,7 @@ from polemap.simulate.closed_loop.taught_street import TaughtStreet
 from polemap.simulate.plant import PlantState
 from polemap.simulate.studio import Moment, Studio
 from polemap.stereo.config import StereoConfig
+from polemap.stereo.odometry.camera_odometry import CameraOdometry
 from polemap.vehicle.pose import Pose2D
 
 Floats = NDArray[np.float64]
@@ -59,6 +61,8 @@ class CameraEye:
             the localizer take on this machine, one thread, in processor time.
         config: of perception.
         show_every_s: how often a picture is kept to be shown.
+        measures_motion: the car's motion is seen by the camera, too (`CameraOdometry`), at no
+            other times than the poles.
     """
 
     def __init__(
@@ -68,6 +72,8 @@ class CameraEye:
         processing_s: float | None,
         config: PolemapConfig | None = None,
         show_every_s: float = np.inf,
+        *,
+        measures_motion: bool = False,
     ) -> None:
         self.timing = Timing()
         self._street, self._studio, self._processing_s = street, studio, processing_s
@@ -80,6 +86,10 @@ class CameraEye:
         self._free_s, self._localizing_s = -np.inf, 0.0
         self._waiting: deque[tuple[float, Detections]] = deque()
         self._show_every_s, self._show_s = show_every_s, 0.0
+        self.measures_motion = measures_motion
+        self._odometry = CameraOdometry(studio.renderer.rig)
+        self._last_s: float | None = None
+        self._moved: deque[tuple[float, OdometrySample]] = deque()
 
     def record_odometry(self, sample: OdometrySample) -> None:
         """See `Eye`."""
@@ -95,6 +105,7 @@ class CameraEye:
         left, right = self._picture(number, now_s, rear, state)
         frame = StereoFrame(now_s, came_s, number, left, right)
         begin = process_time()
+        moved = self._measure(frame) if self.measures_motion else None
         disparity = self._perception.match(frame)
         between = process_time()
         seen = self._perception.perceive(frame, disparity).scan
@@ -107,6 +118,8 @@ class CameraEye:
         self._free_s = came_s + took
         self.timing.age_s.append(self._free_s - now_s)
         self._waiting.append((self._free_s, seen))
+        if moved is not None:
+            self._moved.append((self._free_s, moved))
         if now_s >= self._show_s:
             self._show_s = now_s + self._show_every_s
             self.timing.shown.append((now_s, left, self._axes_px(seen)))
@@ -117,6 +130,26 @@ class CameraEye:
         while self._waiting and self._waiting[0][0] <= now_s + 1e-9:
             seen.append(replace(self._waiting.popleft()[1], arrival_s=now_s))
         return seen
+
+    def motion(self, now_s: float) -> list[OdometrySample]:
+        """See `Eye`."""
+        seen = []
+        while self._moved and self._moved[0][0] <= now_s + 1e-9:
+            seen.append(replace(self._moved.popleft()[1], arrival_s=now_s))
+        return seen
+
+    def _measure(self, frame: StereoFrame) -> OdometrySample | None:
+        """The motion up to a picture, which the tracks of the poles are told at once."""
+        seen = self._odometry.advance(frame.stamp_s, frame.left, frame.right)
+        last_s, self._last_s = self._last_s, frame.stamp_s
+        if last_s is None or not seen.known:
+            return None
+        step_s = frame.stamp_s - last_s
+        speed, yaw_rate, *_ = planar_step(self._studio.renderer.rig, seen, step_s)
+        stamp_s = frame.stamp_s - 0.5 * step_s
+        sample = OdometrySample(stamp_s, frame.arrival_s, speed, yaw_rate)
+        self._perception.record_odometry(sample)
+        return sample
 
     def localized(self, seconds: float) -> None:
         """See `Eye`: the next picture waits for it, too."""

@@ -19,7 +19,13 @@ Floats = NDArray[np.float64]
 
 
 class Eye(Protocol):
-    """What sees the poles: pictures come in, scans come out some time later."""
+    """What sees the poles: pictures come in, scans come out some time later.
+
+    Attributes:
+        measures_motion: whether it tells the car's motion, too, so that no wheels are needed.
+    """
+
+    measures_motion: bool
 
     def record_odometry(self, sample: OdometrySample) -> None:
         """What the car has just measured of its motion."""
@@ -30,12 +36,17 @@ class Eye(Protocol):
     def scans(self, now_s: float) -> list[Detections]:
         """What has been seen since the last call, with its arrival."""
 
+    def motion(self, now_s: float) -> list[OdometrySample]:
+        """What has been seen of the car's own motion since the last call, with its arrival."""
+
     def localized(self, seconds: float) -> None:
         """How long the localizer was busy with a scan."""
 
 
 class DetectorEye:
     """A detector of stated errors without pictures, each scan late by the same time."""
+
+    measures_motion = False
 
     def __init__(self, detector: PoleDetector, delay_s: float) -> None:
         self._detector, self._delay_s = detector, delay_s
@@ -55,6 +66,10 @@ class DetectorEye:
             stamp, pose = self._waiting.popleft()
             seen.append(replace(self._detector.scan(stamp, pose), arrival_s=now_s))
         return seen
+
+    def motion(self, now_s: float) -> list[OdometrySample]:
+        """See `Eye`; none."""
+        return []
 
     def localized(self, seconds: float) -> None:
         """See `Eye`; the delay is stated."""

@@ -38,6 +38,7 @@ class Case:
     Attributes:
         every: of the camera's pictures one in so many is taken.
         processing_s: None for what it takes here.
+        solved: in the map that camera and fixes made, with the camera's odometry.
     """
 
     key: str
@@ -45,6 +46,7 @@ class Case:
     source: Source
     every: int = 1
     processing_s: float | None = None
+    solved: bool = False
 
 
 CASES = (
@@ -54,6 +56,14 @@ CASES = (
     Case("paper", "74 ms a picture, the rest dropped (13.5 Hz)", "filter", 1, SOURCE_PAPER_S),
     Case("here", "processing time of this machine, the rest dropped", "filter", 1),
     Case("raw", "the same, particle filter as it is", "raw", 1),
+    Case(
+        "camera",
+        "74 ms, map of camera and GNSS, camera odometry",
+        "filter",
+        1,
+        SOURCE_PAPER_S,
+        True,
+    ),
 )
 
 
@@ -70,11 +80,12 @@ def full_loop_study(car: Car, seeds: int, report: Report, estimators: tuple[str,
 
     Raises:
         ConfigError: estimators were asked for; it is the localizer that closes this loop.
-        MissingExtraError: pictures need open3d, which is not installed.
+        MissingExtraError: pictures need open3d, a map without reference gtsam.
     """
     if estimators:
         raise ConfigError(f"{NAME} is closed by the localizer, it takes no --estimator")
     check_installed("open3d")
+    check_installed("gtsam")
     jobs = list(range(seeds))
     workers = LocalWorkers(min(cpu_count() or 1, seeds))
     driven: dict[tuple[int, str], list[Driven]] = {}
@@ -91,7 +102,7 @@ def drive_street(
     car: Car, seed: int, duration_s: float = DURATION_S
 ) -> tuple[int, dict[tuple[int, str], Driven]]:
     """Teach one street and drive it at all speeds in all ways; poles of its map, and the drives."""
-    street = teach(seed)
+    street = teach(seed, solve=any(case.solved for case in CASES))
     return len(street.course.pole_map), {
         (kmh, case.key): _drive(car, street, kmh * KMH, case, duration_s)
         for kmh in SPEEDS_KMH
@@ -111,9 +122,13 @@ def _drive(
     eye = None
     if case.source != "truth":
         studio = street.studio(speed_mps, duration_s, period_s)
-        eye = CameraEye(street, studio, case.processing_s, show_every_s=_SHOWN_EVERY_S)
+        eye = CameraEye(
+            street, studio, case.processing_s, None, _SHOWN_EVERY_S, measures_motion=case.solved
+        )
+    course = street.course if not case.solved else street.solved
+    assert course is not None
     run = PathDrive(
-        car, scenario, street.course, eye, (rngs[0], rngs[1]), scan_s=period_s
+        car, scenario, course, eye, (rngs[0], rngs[1]), scan_s=period_s
     ).run()  # fmt: skip
     return Driven(run, None if eye is None else eye.timing)
 
@@ -131,6 +146,7 @@ def _study(driven: dict[tuple[int, str], list[Driven]], poles: list[int]) -> Stu
         for name, more, less in (
             ("74 ms of processing", "paper", "instant"),
             ("every second picture left out", "few", "instant"),
+            ("doing without reference and wheels", "camera", "paper"),
             ("steering by the particle filter as it is", "raw", "here"),
         ):
             cost = rms[more] - rms[less]

@@ -94,11 +94,20 @@ def follow_path(
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A path to follow, the map to do it by, and the pose that the car starts from."""
+    """What a car is to drive by.
+
+    Attributes:
+        path: to follow, in the map's frame.
+        pole_map: to know where it is.
+        start: true pose that the car starts from.
+        true_path: what `path` is in truth, where map and path were made without a reference: the
+            driver follows it, and errors are counted from it. None: `path` is true.
+    """
 
     path: Path
     pole_map: PoleMap
     start: Pose2D
+    true_path: Path | None = None
 
 
 class PathDrive:
@@ -129,6 +138,7 @@ class PathDrive:
         rng = self._rng
         self._car, self._scenario, self._course, self._eye = road_car(car), scenario, course, eye
         self._scan_s = scan_s
+        self._true_path = course.true_path or course.path
         self._parameters = plant_of(self._car, PASSENGER_CAR)
         self._plant = Plant(self._parameters)
         self._localizer = Localizer(
@@ -168,7 +178,7 @@ class PathDrive:
                 used = believed if engaged == engaged and believed is not None else rear
                 taken_back += engaged == engaged and believed is None
                 steer = self._steer(used, state, near, by_truth=used is rear)
-                true = self._course.path.locate(*self._front(rear), rear.yaw_rad, near)
+                true = self._true_path.locate(*self._front(rear), rear.yaw_rad, near)
                 near = true.station_m
                 rows.append((now, true.lateral_m, steer, *_error(believed, rear)))
                 if abs(true.lateral_m) > LEFT_THE_ROAD_M:
@@ -211,8 +221,9 @@ class PathDrive:
             )
             if self._eye is not None:
                 sample = OdometrySample(now, now, self._speed, self._yaw_rate)
-                self._localizer.add_sample(sample)
-                self._eye.record_odometry(sample)
+                if not self._eye.measures_motion:
+                    self._localizer.add_sample(sample)
+                    self._eye.record_odometry(sample)
         if self._eye is None:
             return
         rear = self._rear(state)
@@ -226,6 +237,8 @@ class PathDrive:
         if now >= ticks["scan"] - 1e-9:
             ticks["scan"] += self._scan_s
             self._eye.look(now, rear, state)
+        for sample in self._eye.motion(now):
+            self._localizer.add_sample(sample)
         for scan in self._eye.scans(now):
             begin = process_time()
             found = self._localizer.add_sample(scan)
@@ -248,11 +261,11 @@ class PathDrive:
         return Pose2D(*pose.pose)
 
     def _steer(self, pose: Pose2D, state: PlantState, near: float, *, by_truth: bool) -> float:
-        speed, rate = self._speed, self._yaw_rate
+        speed, rate, path = self._speed, self._yaw_rate, self._course.path
         if by_truth or self._scenario.source == "truth":
-            speed, rate = state.vx_mps, state.yaw_rate_radps
+            speed, rate, path = state.vx_mps, state.yaw_rate_radps, self._true_path
         steer, _ = stanley_steer(
-            self._course.path, pose, speed, rate, self._car.wheelbase_m, self._settings, near
+            path, pose, speed, rate, self._car.wheelbase_m, self._settings, near
         )
         return steer
 

@@ -5,8 +5,7 @@ Between the two drives parked cars leave and others come, and the traffic is ano
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -14,14 +13,16 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from polemap.build.build_map import build_map
+from polemap.build.slam.motion import MotionNoise
+from polemap.build.slam.slam import solve_slam
 from polemap.config import PolemapConfig
 from polemap.drivelog.atomic import scratch_folder
-from polemap.drivelog.detections import Detections
-from polemap.drivelog.drive import Drive
+from polemap.drivelog.drive import Drive, FrameSource
+from polemap.drivelog.odometry_choice import with_odometry
 from polemap.drivelog.readers.registry import open_drive
-from polemap.drivelog.samples import StereoFrame
+from polemap.drivelog.samples import Image
 from polemap.electric.control.path import Path
-from polemap.perception import PolePerception
+from polemap.perception import scan_drive
 from polemap.simulate.closed_loop.path_following import Course
 from polemap.simulate.config import SimulateConfig
 from polemap.simulate.drive import simulate_drive
@@ -42,8 +43,9 @@ _CORNERS_M = [(0.0, 0.0), (150.0, 14.0), (300.0, -34.0), (440.0, 6.0), (560.0, -
 _CORNER_RADIUS_M = 110.0
 # of all places to park, taken in the first drive, and again in the second
 _PARKED_SHARE, _PARKED_KEEP = 0.6, 0.9
-# poles along a reference's path for the controller, and how it is smoothed (sd)
+# points along a reference's path for the controller, and how it is smoothed (sd)
 _STEP_M, _SMOOTH_M, _ENDS_M = 0.5, 2.0, 6.0
+_STEREO = StereoConfig(threads=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,8 @@ class TaughtStreet:
 
     Attributes:
         course: path of the driver's rear axle, and the map of the poles seen on it.
+        solved: the same of the stereo camera and GNSS alone, without reference and wheels; None
+            where it was not asked for.
         world: as it looks when the car comes again.
         config, seed: of the simulation, for the camera and all draws.
     """
@@ -60,6 +64,7 @@ class TaughtStreet:
     world: World
     config: SimulateConfig
     seed: int
+    solved: Course | None = None
 
     @property
     def origin_m(self) -> Floats:
@@ -96,7 +101,11 @@ def street_scenario() -> Scenario:
 
 
 def teach(
-    seed: int, config: PolemapConfig | None = None, scenario: Scenario | None = None
+    seed: int,
+    config: PolemapConfig | None = None,
+    scenario: Scenario | None = None,
+    *,
+    solve: bool = False,
 ) -> TaughtStreet:
     """Drive a street once with pictures and a reference, and map it.
 
@@ -104,6 +113,10 @@ def teach(
         seed: of the world, the sensors and the traffic.
         config: of perception and map.
         scenario: an open street; `street_scenario` by default.
+        solve: map it a second time from the same pictures and the fixes alone.
+
+    Raises:
+        MissingExtraError: `solve`, and gtsam is not installed.
     """
     config, simulated = config or PolemapConfig(), SimulateConfig()
     unlit = scenario or street_scenario()
@@ -114,12 +127,60 @@ def teach(
     plan = make_plan(first.route, scenario, 1, seed, simulated)
     with scratch_folder() as place:
         folder = simulate_drive(unlit, FilePath(place) / "drive", 1, seed, simulated, images=False)
-        drive = open_drive(folder)
-        scans = partial(_seen, Studio(plan, first, 1), config)
-        pole_map = build_map([drive], config, scans).pole_map
+        drive = _with_pictures(open_drive(folder), Studio(plan, first, 1))
         assert drive.reference is not None
+        scans = scan_drive(drive, config, stereo=_STEREO)
         path, start = _path_of(drive.reference.poses)
-    return TaughtStreet(Course(path, pole_map, start), again, simulated, seed)
+        course = Course(path, build_map([drive], config, lambda _: scans).pole_map, start)
+        solved = _solved(drive, course, config) if solve else None
+    return TaughtStreet(course, again, simulated, seed, solved)
+
+
+def _solved(drive: Drive, taught: Course, config: PolemapConfig) -> Course:
+    """The course as the stereo camera and the fixes tell it."""
+    blind = with_odometry(replace(drive, reference=None, odometry=None), "camera")
+    scans = scan_drive(blind, config, stereo=_STEREO)
+    result = solve_slam(
+        [("taught", blind)], [scans], config.mapping, config.slam, MotionNoise(), drive.frame
+    )
+    known = replace(blind, frame=result.frame, reference=result.references[0])
+    built = build_map([known], config, lambda _: scans, frame=result.frame)
+    path, _ = _path_of(result.references[0].poses)
+    pole_map = result.with_precision(built.pole_map)
+    return Course(path, pole_map, taught.start, taught.path)
+
+
+class _Pictures:
+    """What a studio takes, kept in memory: more than one looks at it."""
+
+    def __init__(self, studio: Studio, rows: NDArray[np.int64]) -> None:
+        self._studio, self._rows = studio, rows
+        self._taken: dict[int, tuple[Image, Image]] = {}
+
+    def load(self, row: int) -> tuple[Image, Image]:
+        """See `FrameSource`."""
+        number = int(self._rows[row])
+        if number not in self._taken:
+            left, right = self._studio.picture(number)
+            self._taken[number] = left.copy(), right.copy()
+        return self._taken[number]
+
+    def keep(self, rows: NDArray[np.int64]) -> FrameSource:
+        """See `FrameSource`."""
+        return _Pictures(self._studio, self._rows[rows])
+
+
+def _with_pictures(drive: Drive, studio: Studio) -> Drive:
+    plan = studio.plan
+    numbers = np.arange(len(plan.frame_stamps_s))
+    return replace(
+        drive,
+        rig=studio.renderer.rig,
+        images=_Pictures(studio, numbers),
+        frame_stamps_s=plan.frame_stamps_s,
+        frame_arrivals_s=plan.frame_arrivals_s,
+        frame_numbers=numbers,
+    )
 
 
 def _left(world: World, rng: np.random.Generator) -> frozenset[int]:
@@ -127,23 +188,6 @@ def _left(world: World, rng: np.random.Generator) -> frozenset[int]:
     parked = [one.owner for one in world.objects if one.kind.startswith("parked_")]
     away = rng.random(len(parked)) > _PARKED_SHARE
     return frozenset(np.array(parked, dtype=np.int64)[away].tolist())
-
-
-def _seen(studio: Studio, config: PolemapConfig, drive: Drive) -> list[Detections]:
-    plan = studio.plan
-    rig = studio.renderer.rig
-    perception = PolePerception(rig, config, stereo=StereoConfig(threads=1))
-    odometry = drive.odometry
-    assert odometry is not None
-    scans, row = [], 0
-    for number, stamp in enumerate(plan.frame_stamps_s.tolist()):
-        while row < len(odometry) and odometry.stamp_s[row] <= stamp:
-            perception.record_odometry(odometry.sample(row))
-            row += 1
-        left, right = studio.picture(number)
-        arrival = float(plan.frame_arrivals_s[number])
-        scans.append(perception.scan_frame(StereoFrame(stamp, arrival, number, left, right)))
-    return scans
 
 
 def _path_of(poses: Floats) -> tuple[Path, Pose2D]:

@@ -25,6 +25,7 @@ from polemap.vehicle.io import load_car
 from polemap.vehicle.pose import Pose2D
 
 pytest.importorskip("open3d", reason="pictures need open3d")
+pytest.importorskip("gtsam", reason="a map without reference needs gtsam")
 
 
 def short_street() -> Scenario:
@@ -42,7 +43,7 @@ def short_street() -> Scenario:
 
 @pytest.fixture(scope="module")
 def street() -> TaughtStreet:
-    return teach(3, scenario=short_street())
+    return teach(3, scenario=short_street(), solve=True)
 
 
 class Blank(CameraEye):
@@ -123,6 +124,36 @@ def test_a_short_street_is_taught_mapped_and_driven(street: TaughtStreet) -> Non
     (_, picture, axes), *_ = timing.shown
     assert picture.shape == (480, 768)
     assert axes.shape[1:] == (2, 2)
+
+
+def test_camera_and_fixes_alone_map_the_street_but_for_its_place(street: TaughtStreet) -> None:
+    solved = street.solved
+    assert solved is not None
+    assert solved.true_path is street.course.path
+    assert solved.path.length_m == pytest.approx(street.course.path.length_m, rel=0.02)
+    apart = solved.pole_map.points_m[:, None] - street.course.pole_map.points_m
+    nearest = np.hypot(*apart.transpose(2, 0, 1)).argmin(axis=1)
+    apart = apart[np.arange(len(apart)), nearest]
+    # the fixes wander by metres; what counts is that poles and path are off by the same
+    assert np.hypot(*(apart - apart.mean(axis=0)).T).max() < 0.8
+
+
+def test_the_camera_tells_the_motion_where_no_wheels_do(street: TaughtStreet) -> None:
+    """The driver follows the true path while the localizer knows nothing but pictures and fixes."""
+    case = study.Case("camera", "", "filter", 7, 0.05, solved=True)
+    driven = study._drive(load_car("passat"), street, 6.0, case, 3.0)
+    assert np.abs(driven.run.lateral_m).max() < 0.1
+    eye = CameraEye(street, street.studio(6.0, 1.0, 0.2), 0.05, measures_motion=True)
+    start = street.course.start
+    for step in range(4):
+        ahead = 1.2 * step + 4.0
+        x, y = start.x_m + ahead * np.cos(start.yaw_rad), start.y_m + ahead * np.sin(start.yaw_rad)
+        eye.look(0.2 * step, Pose2D(x, y, start.yaw_rad), PlantState(vx_mps=6.0))
+    assert eye.motion(0.26) == []
+    told = eye.motion(1.0)
+    assert [sample.stamp_s for sample in told] == pytest.approx([0.1, 0.3, 0.5])
+    assert {sample.arrival_s for sample in told} == {1.0}
+    assert [sample.speed_mps for sample in told] == pytest.approx([6.0] * 3, rel=0.05)
 
 
 def test_a_drive_that_was_never_handed_over_has_failed_and_costs_nothing() -> None:
