@@ -100,6 +100,8 @@ def command(
         scores = score_frames(records, known, _BANDS_M, lacking)
         tracks = score_tracks(records, known, _BANDS_M[0], lacking)
         _tell(scores, tracks, config_min.probability_min)
+    for note in opened.notes:
+        typer.echo(f"note: {note}")
     typer.echo("\n".join(counted.lines(drive, out, pictures)))
 
 
