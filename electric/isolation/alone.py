@@ -22,6 +22,8 @@ SPIKE_SD = 8.0
 _SECOND = 6.0**0.5
 # times its own noise, in nearly all ticks of half a second
 _NOISY, _NOISY_SHARE, _FADE = 5.0, 0.85, 0.8
+# what a rough road shakes accelerometers by, however quiet the last one was
+_ROUGH_SD = np.array([0.0, 0.0, 0.8, 0.8, 0.0])
 # a signal that climbs in stairs has no more than so many times its slope
 _STAIRS = 2.0
 _LEARN_TICKS, _LEARN_RATE = 20, 0.003
@@ -119,7 +121,7 @@ class OwnChecks:
             return False
         if moving:
             self._share = _FADE * self._share + (1.0 - _FADE) * (
-                sd > np.maximum(_NOISY * self.base, _STAIRS * slope)
+                sd > np.maximum(np.maximum(_NOISY * self.base, _ROUGH_SD), _STAIRS * slope)
             )
             self.base = self.base * exp(_LEARN_RATE) ** np.sign(sd - self.base)
             self.base = np.maximum(self.base, LEAST_SD)

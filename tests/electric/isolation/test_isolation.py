@@ -190,3 +190,14 @@ def test_a_course_that_was_only_silent_is_believed_as_it_comes() -> None:
     assert late
     rows = np.searchsorted(clean.stamp_s, [s for s, _ in late])
     assert [c for _, c in late] == course[rows].tolist()
+
+
+def test_a_rough_road_is_no_fault_of_the_accelerometers() -> None:
+    """A quiet sensor on new asphalt, then cobbles: ten times what it used to show."""
+    log = driven(CAR, "country", 20.0, seed=16).log
+    rng, columns = np.random.default_rng(0), dict(log.columns)
+    for name in ("ax_mps2", "ay_mps2"):
+        smooth = np.convolve(log.columns[name], np.full(41, 1 / 41), "same")
+        rough = np.where(log.stamp_s > START_S, 0.5, 0.03)
+        columns[name] = smooth + rough * rng.standard_normal(len(smooth))
+    assert faults_in(SignalLog(log.stamp_s, columns)) == []
