@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import pi
 
 import numpy as np
@@ -35,18 +36,36 @@ DEFAULT = (
 )
 
 
+def speeding(stamp_s: float) -> float:
+    """From 15 to 35 km/h in 5 s, 25 km/h in the middle of the lane change."""
+    return (15.0 + 20.0 * min(max((stamp_s - 0.5) / 5.0, 0.0), 1.0)) * KMH
+
+
 def run_lane(
-    car: Car, name: str, gains: PiGains | None, seed: int, hold_s: float, driver: LaneChange
+    car: Car,
+    name: str,
+    gains: PiGains | None,
+    seed: int,
+    hold_s: float,
+    driver: LaneChange,
+    *,
+    speed: float | Callable[[float], float] = SPEED_MPS,
+    feed_forward: float | None = None,
 ) -> LateralRun:
-    """One lane change behind an estimator, with no control where there are no gains."""
+    """One lane change behind an estimator, with no control where there are no gains.
+
+    Args:
+        speed: of the car, m/s, or that of each stamp.
+        feed_forward: N m/rad at any speed; None schedules it.
+    """
     estimator, late = behind(name, car, CAMERA_NOISE, (CAMERA, GPS))
     limit = yaw_moment_limit_nm(car)
     return run_lateral(
         plant_of(car.scaled(stiffness=STIFFER)),
-        SPEED_MPS,
+        speed,
         DURATION_S,
         driver,
-        None if gains is None else BodySlipLoop(car, gains, limit),
+        None if gains is None else BodySlipLoop(car, gains, limit, feed_forward),
         rng=np.random.default_rng(seed),
         sensors=SensorModel(preview_m=car.preview_m),
         estimator=estimator,
@@ -72,6 +91,12 @@ def lane_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]
         lane.note(f"{name}, same margin, single rate", name, slow, SLOW_S, claim)
         claim = "tracks better" if name == "compensated" else ""
         lane.note(f"{name}, same margin, multi-rate", name, fast, 0.0, claim)
+    fixed = lane.figures["feed_forward_nm_per_rad"]
+    lane.note(f"15-35 km/h, {NONE}", NONE, None, 0.0, speed=speeding)
+    for name in (TRUTH, names[-1]):
+        for text, forward in (("scheduled", None), ("of 25 km/h", fixed)):
+            label = f"15-35 km/h, {name}, feed-forward {text}"
+            lane.note(label, name, designed, 0.0, speed=speeding, feed_forward=forward)
     limit_nm = yaw_moment_limit_nm(car)
     remarks = (
         "Columns: rms and largest side-slip; largest |Nz| "
@@ -104,12 +129,22 @@ class _Lane:
         self.curves: dict[str, LateralRun] = {}
 
     def note(
-        self, label: str, name: str, gains: PiGains | None, hold_s: float, claim: str = ""
+        self,
+        label: str,
+        name: str,
+        gains: PiGains | None,
+        hold_s: float,
+        claim: str = "",
+        *,
+        speed: float | Callable[[float], float] = SPEED_MPS,
+        feed_forward: float | None = None,
     ) -> None:
         """A row: a run a seed behind an estimator, with the command held for `hold_s`."""
         runs = [
-            run_lane(self.car, name, gains, seed, hold_s, self.driver) for seed in range(self.seeds)
-        ]
+            run_lane(self.car, name, gains, seed, hold_s, self.driver, speed=speed,
+                     feed_forward=feed_forward)
+            for seed in range(self.seeds)
+        ]  # fmt: skip
         self.report(self.seeds)
         key = label.replace(", ", "_").replace(" ", "_")
         each = [r.error_rms_rad(self.driver.begin_s) for r in runs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi, sin
 from typing import NamedTuple, Protocol
@@ -91,7 +92,7 @@ class LateralRun:
 
 def run_lateral(
     parameters: PlantParameters,
-    speed_mps: float,
+    speed_mps: float | Callable[[float], float],
     duration_s: float,
     driver: Driver,
     control: LateralControl | None,
@@ -103,9 +104,10 @@ def run_lateral(
     late: tuple[str, ...] = (),
     hold_s: float = 0.0,
 ) -> LateralRun:
-    """Drive at constant speed; without `control` the driver's steering passes.
+    """Drive; without `control` the driver's steering passes.
 
     Args:
+        speed_mps: what the driver keeps to, or that of each stamp.
         estimator: what the controller sees through; None shows it the truth.
         hold_s: above 0 the controller runs and sees the estimate only so often, and its command
             is held between: one rate for all.
@@ -114,7 +116,8 @@ def run_lateral(
     sensors = sensors or SensorModel()
     preview_m = sensors.preview_m
     feed = SensorFeed(parameters, sensors, rng, estimator, late)
-    state = plant.rolling(speed_mps)
+    wanted_mps = speed_mps if callable(speed_mps) else _kept(speed_mps)
+    state = plant.rolling(wanted_mps(0.0))
     command, due = Command(0.0, 0.0), 0.0
     rows: list[tuple[float, ...]] = []
     for _ in range(round(duration_s / plant.step_s)):
@@ -131,7 +134,7 @@ def run_lateral(
             due += hold_s
         left, right = distribute_torque(
             command.yaw_moment_nm,
-            _SPEED_GAIN_PER_S * (speed_mps - measured.speed_mps),
+            _SPEED_GAIN_PER_S * (wanted_mps(state.time_s) - measured.speed_mps),
             mass_kg=parameters.mass_kg,
             radius_m=parameters.wheel_radius_m,
             rear_track_m=parameters.track_m,
@@ -156,6 +159,10 @@ def run_lateral(
         )
     c = np.array(rows).T
     return LateralRun(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] > 0.5, *c[8:])
+
+
+def _kept(speed_mps: float) -> Callable[[float], float]:
+    return lambda _stamp_s: speed_mps
 
 
 _TRUE_FIELDS = ("sideslip_rad", "yaw_rate_radps", "heading_rad", "lateral_offset_m")
@@ -194,10 +201,21 @@ class LaneChange:
 
 
 class BodySlipLoop:
-    """W14's controller on an estimate: the side-slip is wanted to be zero."""
+    """W14's controller on an estimate: the side-slip is wanted to be zero.
 
-    def __init__(self, car: Car, gains: PiGains, limit_nm: float) -> None:
-        self._controller = BodySlipController(FeedForwardSchedule(car), gains, limit_nm)
+    Args:
+        feed_forward: N m/rad at any speed; None schedules it.
+    """
+
+    def __init__(
+        self,
+        car: Car,
+        gains: PiGains,
+        limit_nm: float,
+        feed_forward: float | None = None,
+    ) -> None:
+        forward = FeedForwardSchedule(car) if feed_forward is None else feed_forward
+        self._controller = BodySlipController(forward, gains, limit_nm)
         self._limit_nm = limit_nm
 
     def __call__(

@@ -7,11 +7,11 @@ from math import pi
 import numpy as np
 import pytest
 
-from polemap.electric.control.body_slip import place_pi
+from polemap.electric.control.body_slip import feed_forward_gain, place_pi
 from polemap.simulate.closed_loop.choice import NONE, TRUTH
 from polemap.simulate.closed_loop.cornering import Corner, CornerSettings, yaw_moment_limit_nm
 from polemap.simulate.closed_loop.cornering_study import ICE, ICE_STEER_RAD, SPUN_RAD, Case
-from polemap.simulate.closed_loop.lane_study import MARGIN_DB, SPEED_MPS, run_lane
+from polemap.simulate.closed_loop.lane_study import MARGIN_DB, SPEED_MPS, run_lane, speeding
 from polemap.simulate.closed_loop.lateral import LaneChange
 from polemap.simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
 from polemap.vehicle.io import load_car
@@ -59,3 +59,16 @@ def test_more_rate_at_the_same_margin_holds_the_side_slip_better() -> None:
     moved = np.flatnonzero(np.diff(runs[0].yaw_moment_nm))
     assert (np.diff(moved) % 33 == 0).all()
     assert all(r.moment_peak_nm() <= 372.73 for r in runs)
+
+
+def test_a_schedule_holds_the_side_slip_while_the_speed_changes() -> None:
+    gains = place_pi(*lateral(COMS, SPEED_MPS), 2.0 * pi)
+    fixed = feed_forward_gain(*lateral(COMS, SPEED_MPS))
+    driver = LaneChange()
+    rms = [
+        run_lane(
+            COMS, TRUTH, gains, 0, 0.0, driver, speed=speeding, feed_forward=forward
+        ).error_rms_rad(driver.begin_s)
+        for forward in (None, fixed)
+    ]
+    assert rms[0] < 0.75 * rms[1]
