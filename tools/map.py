@@ -182,7 +182,7 @@ def _make(
         require_plausible(drive.name, find(drive), force=force)
     without = job.slam or any(map(lacks_reference, opened))
     if without:
-        check_slam(opened, asked=job.slam)
+        check_slam(opened, job.odometry, asked=job.slam)
     solved = None
     if without and job.old is not None:
         built, opened = update_without_reference(job, opened, job.old)

@@ -19,6 +19,7 @@ from polemap.drivelog.atomic import atomic_folder
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.odometry_choice import resolve
 from polemap.drivelog.tum import shortest, tum_text
 from polemap.extras import check_installed
 from polemap.localize.config import LocalizeConfig
@@ -49,8 +50,11 @@ def lacks_reference(drive: Drive) -> bool:
     return drive.reference is None or not len(drive.reference)
 
 
-def check_slam(drives: Sequence[Drive], *, asked: bool) -> None:
+def check_slam(drives: Sequence[Drive], odometry: str, *, asked: bool) -> None:
     """Refuse what cannot be done before poles are detected; say so where it was not asked for.
+
+    Args:
+        odometry: the choice; where workers open the drives, these here have what was recorded.
 
     Raises:
         InputError: odometry made from the reference.
@@ -59,7 +63,7 @@ def check_slam(drives: Sequence[Drive], *, asked: bool) -> None:
     if lacking is not None and not asked:
         typer.echo(f"note: drive {lacking} has no reference poses: they are estimated (--slam)")
     for drive in drives:
-        if drive.odometry_is_derived:
+        if drive.odometry_is_derived and resolve(drive, odometry) == "derived":
             raise InputError(
                 f"drive {drive.name}: its odometry was made from its reference, which --slam does "
                 "without; choose --odometry camera"

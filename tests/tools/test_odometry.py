@@ -5,16 +5,20 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from polemap.drivelog.errors import InputError
+from polemap.drivelog.readers.registry import open_drive
 from polemap.simulate.camera_mounting import CameraConfig
 from polemap.simulate.config import RenderConfig, SimulateConfig
 from polemap.simulate.drive import simulate_drive
 from polemap.simulate.scenario import Scenario
 from polemap.tools import cli
+from polemap.tools.map_slam import check_slam
 
 
 @pytest.fixture(scope="module")
@@ -127,3 +131,18 @@ def test_a_choice_that_cannot_be_is_refused(
             cli.USER_ERROR
         )
         assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("choice", "made"), [("auto", False), ("camera", False), ("derived", True)]
+)
+def test_slam_refuses_the_odometry_that_is_used_not_the_one_that_was_recorded(
+    street: Path, choice: str, made: bool
+) -> None:
+    """Drives that workers will open are looked at as recorded: KITTI's with a derived odometry."""
+    recorded = replace(open_drive(street), odometry_is_derived=True)
+    if made:
+        with pytest.raises(InputError, match="made from its reference"):
+            check_slam([recorded], choice, asked=True)
+    else:
+        check_slam([recorded], choice, asked=True)
