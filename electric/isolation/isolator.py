@@ -29,7 +29,7 @@ from polemap.vehicle.parameters import Car
 
 LATE = {CAMERA_KIND: CAMERA, GPS_KIND: GPS}
 SILENT = "silent"
-_ROWS_MIN = 4
+_ROWS_MIN, _LEAPT_S = 4, 4.0
 # a value that stands for so long is the guilty one of two that contradict each other
 _STILL_S = 0.4
 
@@ -142,6 +142,8 @@ class Isolator:
         """A sensor has made a step that no car makes."""
         if name in self.heard and self.speed.mps > SLOW_MPS:
             self._judgement.accuse(name, stamp_s, 0.0, f"leaps by {size:.2g} within a row")
+            # small steps show to votes over windows of two seconds only
+            self._suspicions.trust_late(name, _LEAPT_S)
 
     def captured(self, kind: str, stamp_s: float) -> None:
         """A camera or a GPS measures now."""

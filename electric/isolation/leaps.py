@@ -1,8 +1,8 @@
 """Gyro and steering that leap: steps within a row that no car makes, held back until they last.
 
 A vote needs half a second to see a step; a filter that hears it is wrong by then. What turns a car
-are its tyres: their moment is bounded by friction, about g / (half the wheelbase) at both axles'
-limits against each other, and no driver turns a steering wheel by more than 1000 degrees/s. A step
+are its tyres: their moment is bounded by friction, about g / wheelbase at one axle's limit, and no
+driver turns a steering wheel by more than 1000 degrees/s. A step
 beyond that, the sensor's own noise on top, is not told until it has lasted; then the sensor is at
 fault. What comes back before is a single wild value, of which nothing is told.
 """
@@ -31,12 +31,23 @@ class Leaps:
         noise: the sensor's own deviation, as far as it is known.
     """
 
-    __slots__ = ("_change_s", "_floor", "_rate", "_since_s", "_size", "before", "held", "noise")
+    __slots__ = (
+        "_change_s",
+        "_earlier",
+        "_floor",
+        "_rate",
+        "_since_s",
+        "_size",
+        "before",
+        "held",
+        "noise",
+    )
 
-    def __init__(self, rate: float, floor: float) -> None:
+    def __init__(self, rate: float, floor: float, noise: float = 0.0) -> None:
         self._rate, self._floor = rate, floor
-        self.before = self._change_s = float("nan")
-        self._since_s = self._size = self.noise = 0.0
+        self.before = self._earlier = self._change_s = float("nan")
+        self._since_s = self._size = 0.0
+        self.noise = noise
         self.held = False
 
     def hold_back(self, value: float, stamp_s: float) -> bool:
@@ -54,9 +65,12 @@ class Leaps:
         else:
             elapsed = stamp_s - self._change_s
             limit = self._rate * elapsed + max(self._floor, _NOISY * self.noise)
-            self.held = elapsed < _APART_S and abs(change) > limit
+            back = abs(value - self._earlier) < _BACK_SHARE * abs(change)
+            self.held = elapsed < _APART_S and abs(change) > limit and not back
             self._since_s, self._size = stamp_s, change
         if not self.held:
+            # where a wild value came after long silence, the way back from it is no leap
+            self._earlier = self.before
             self.before, self._change_s = value, stamp_s
         return self.held
 

@@ -83,6 +83,10 @@ class Suspicions:
         self.faults.append(suspicion.fault)
         return True
 
+    def trust_late(self, name: str, hold_s: float) -> None:
+        """A sensor is to be without evidence for so long at least."""
+        self._of[name].hold_s = max(self._of[name].hold_s, hold_s)
+
     def still_against(self, name: str, now_s: float, window_s: float) -> None:
         """Evidence against a sensor that is faulty already; long windows remember too long."""
         if window_s <= max(self._of[name].window_s, 2.0):

@@ -41,9 +41,10 @@ _OF_INPUT = (alone.STEERING, alone.WHEEL_SPEED, "", alone.FORWARD, alone.LATERAL
 RETURN_S = 0.5
 # what a fault left in a course is forgotten so slowly that the heading follows, not the side-slip
 COURSE_TIME_S, _COURSE_LEAST_RAD = 60.0, 0.03
-# rates of steering and gyro that no car reaches, and what their vibration adds
-_STEERING_RATE, _STEERING_LEAP_RAD = 1.2, 0.01
-_GYRO_RATE, _GYRO_LEAP_RADPS = 8.0, 0.05
+# rates of steering and gyro that no car reaches (1000 degrees/s at the wheel; friction at one axle
+# makes g / wheelbase = 4 rad/s^2), what vibration adds, and their noise as long as it is not known
+_STEERING_RATE, _STEERING_LEAP_RAD, _STEERING_SD_RAD = 1.2, 0.01, 1e-3
+_GYRO_RATE, _GYRO_LEAP_RADPS, _GYRO_SD_RADPS = 5.0, 0.03, 5e-3
 # an input further from the last one than any car moves it in a step is held for so many steps
 _JUMP_STEPS = 3
 _STEERING, _SPEED, _FORWARD, _LATERAL, _YAW_RATE = 0.06, 1.5, 12.0, 12.0, 0.3
@@ -87,8 +88,8 @@ class FaultTolerant(Forwarding):
         self._jumped = [0] * len(_JUMPS)
         self._stand_in = [0.0] * len(_JUMPS)
         self._stamp_s = 0.0
-        self._steering_leaps = Leaps(_STEERING_RATE, _STEERING_LEAP_RAD)
-        self._gyro_leaps = Leaps(_GYRO_RATE, _GYRO_LEAP_RADPS)
+        self._steering_leaps = Leaps(_STEERING_RATE, _STEERING_LEAP_RAD, _STEERING_SD_RAD)
+        self._gyro_leaps = Leaps(_GYRO_RATE, _GYRO_LEAP_RADPS, _GYRO_SD_RADPS)
         self._course_off_rad, self._course_since_s = 0.0, 0.0
 
     def step(self, stamp_s: float, inputs: Inputs) -> None:
@@ -119,8 +120,8 @@ class FaultTolerant(Forwarding):
                     self._returned_s[name] = stamp_s
                     if name == families.GPS:
                         self._course_off_rad, self._course_since_s = float("nan"), stamp_s
-                self._steering_leaps.noise = isolator.noise(alone.STEERING)
-                self._gyro_leaps.noise = isolator.noise(alone.GYRO)
+                self._steering_leaps.noise = isolator.noise(alone.STEERING) or _STEERING_SD_RAD
+                self._gyro_leaps.noise = isolator.noise(alone.GYRO) or _GYRO_SD_RADPS
         if len(self._faults) > self._found:
             self._doubt()
         if self._faulty or self._returned_s:

@@ -47,6 +47,13 @@ def test_what_a_car_can_do_is_told() -> None:
     assert not any(told([*[0.0] * 30, *[0.4] * 30])[0])
 
 
+def test_a_wild_value_after_long_silence_makes_no_leap_of_the_way_back() -> None:
+    """A steering that is held, four rows of nothing, and the angle again."""
+    held, size = told([*[0.14] * 40, *[0.0] * 2, *[0.135] * 8], Leaps(1.2, 0.01))
+    assert not any(held)
+    assert size == 0.0
+
+
 def test_the_noise_of_a_sensor_is_no_step() -> None:
     noisy = Leaps(8.0, 0.05)
     noisy.noise = 0.05
