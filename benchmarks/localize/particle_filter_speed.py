@@ -36,50 +36,60 @@ _SEEN, _IN_VIEW = 10, 25
 _VIEW = VisibleRegion(np.array([1.5, 0.0]), -0.6, 0.6, 2.0, np.full(32, 40.0))
 
 
-def _map(rng: np.random.Generator) -> PoleMap:
-    """25 poles within the view from the origin."""
-    bearing = rng.uniform(-0.5, 0.5, _IN_VIEW)
-    distance = rng.uniform(6.0, 36.0, _IN_VIEW)
+def _map(rng: np.random.Generator, count: int = _IN_VIEW) -> PoleMap:
+    """Poles within the view from the origin."""
+    bearing = rng.uniform(-0.5, 0.5, count)
+    distance = rng.uniform(6.0, 36.0, count)
     points = np.stack([1.5 + distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
     return PoleMap(
         EarthFrame("local", name="benchmark"),
-        np.arange(_IN_VIEW),
+        np.arange(count),
         points,
-        np.tile(np.eye(2) * 0.05**2, (_IN_VIEW, 1, 1)),
-        rng.uniform(0.1, 0.5, _IN_VIEW),
-        np.full(_IN_VIEW, np.nan),
-        np.ones(_IN_VIEW, dtype=np.int64),
-        np.ones(_IN_VIEW, dtype=np.int64),
-        np.ones(_IN_VIEW),
+        np.tile(np.eye(2) * 0.05**2, (count, 1, 1)),
+        rng.uniform(0.1, 0.5, count),
+        np.full(count, np.nan),
+        np.ones(count, dtype=np.int64),
+        np.ones(count, dtype=np.int64),
+        np.ones(count),
     )
 
 
-def _scan(stamp_s: float, world: PoleMap, pose: Floats, rng: np.random.Generator) -> Detections:
-    rows = rng.choice(_IN_VIEW, _SEEN, replace=False)
+def _scan(
+    stamp_s: float, world: PoleMap, pose: Floats, rng: np.random.Generator, seen: int = _SEEN
+) -> Detections:
+    rows = rng.choice(len(world), seen, replace=False)
     local = inverse_transform_points(pose, world.points_m[rows])
     return pole_detections(
         stamp_s,
         stamp_s,
         local + rng.normal(0, 0.1, local.shape),
-        np.tile(np.eye(2) * 0.1**2, (_SEEN, 1, 1)),
-        width_m=world.width_m[rows] + rng.normal(0, 0.05, _SEEN),
-        probability=np.full(_SEEN, 0.9),
+        np.tile(np.eye(2) * 0.1**2, (seen, 1, 1)),
+        width_m=world.width_m[rows] + rng.normal(0, 0.05, seen),
+        probability=np.full(seen, 0.9),
         track_id=rows,
         view=_VIEW,
     )
 
 
-def update_times(updates: int = 400, seed: int = 0) -> list[float]:
+def update_times(
+    updates: int = 400,
+    seed: int = 0,
+    *,
+    particles: int = 1000,
+    seen: int = _SEEN,
+    in_view: int = _IN_VIEW,
+) -> list[float]:
     """Seconds of each full update at 22 Hz while creeping forward, so that the scene stays."""
     rng = np.random.default_rng(seed)
-    world = _map(rng)
-    particle_filter = ParticleFilter(world, LocalizeConfig(), 2.7, np.random.default_rng(seed))
+    world = _map(rng, in_view)
+    config = LocalizeConfig(particles=particles)
+    particle_filter = ParticleFilter(world, config, 2.7, np.random.default_rng(seed))
     particle_filter.set_pose(0.0, np.zeros(3), np.diag([0.2, 0.2, 0.001]))
     times, pose, interval, speed = [], np.zeros(3), 1.0 / 22.0, 0.3
     for k in range(1, updates + 1):
         stamp = k * interval
         pose[0] = speed * stamp
-        scan = _scan(stamp, world, pose, rng)
+        scan = _scan(stamp, world, pose, rng, seen)
         begin = time.perf_counter()
         for step in (stamp - 0.5 * interval, stamp):
             particle_filter.add_odometry(OdometrySample(step, step, speed, 0.0))

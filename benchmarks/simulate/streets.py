@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +25,23 @@ class Street:
     studio: Studio
 
 
-def open_street(name: str, seed: int, rate_hz: float, *, truth_images: bool = False) -> Street:
-    """The street that `polemap simulate NAME --seed SEED` would write, at another frame rate."""
+def open_street(
+    name: str,
+    seed: int,
+    rate_hz: float,
+    *,
+    truth_images: bool = False,
+    camera: Mapping[str, float] | None = None,
+) -> Street:
+    """The street that `polemap simulate NAME --seed SEED` would write, at another frame rate.
+
+    Args:
+        camera: settings of another camera.
+    """
     plain = SimulateConfig()
     config = plain.model_copy(
         update={
-            "camera": plain.camera.model_copy(update={"frame_rate_hz": rate_hz}),
+            "camera": plain.camera.model_copy(update={"frame_rate_hz": rate_hz, **(camera or {})}),
             "render": RenderConfig(truth_images=truth_images),
         }
     )
