@@ -78,6 +78,7 @@ class Drive:
         problems: counts of bad input that was left out, by kind.
         findings: what the reader itself saw in the input that cannot be right.
         odometry_is_derived: whether the odometry was made from the reference.
+        odometry_is_cameras: whether it is the stereo camera's.
         names: what the source calls its streams.
     """
 
@@ -102,6 +103,7 @@ class Drive:
     car: Car | None = None
     findings: tuple[Finding, ...] = ()
     odometry_is_derived: bool = False
+    odometry_is_cameras: bool = False
     names: SourceNames = field(default_factory=SourceNames)
 
     @property

@@ -71,7 +71,10 @@ def with_odometry(
         notes = (*(n for n in drive.notes if n != ODOMETRY_NOTE), note)
         stream = track.odometry()
         names = replace(drive.names, odometry="the camera's odometry")
-        return replace(drive, odometry=stream, odometry_is_derived=False, notes=notes, names=names)
+        return replace(
+            drive, odometry=stream, odometry_is_derived=False, odometry_is_cameras=True,
+            notes=notes, names=names,
+        )  # fmt: skip
     assert drive.odometry is not None  # resolve has seen to it
     fused = fuse_odometry(drive.odometry, track)
     note = (

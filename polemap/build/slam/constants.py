@@ -11,6 +11,9 @@ ROUNDS_MOST = 8
 SPEED_SCALE_SD, YAW_RATE_SCALE_SD = 0.05, 0.05
 YAW_RATE_OFFSET_SD_RADPS, CURVATURE_OFFSET_SD_RADPM = 0.005, 0.002
 SIDESLIP_SD_RAD, SLIP_SD_RAD_PER_MPS2 = 0.02, 0.004
+# of the first four where the odometry is a stereo camera's, its disparities' error learned: half a
+# percent of scale is left, and no gyro drifts
+CAMERA_CALIBRATION_SD = (0.005, 0.003, 2e-4, 1e-4)
 # time in which it stays the same, and its change from one such time to the next in its own sd
 CALIBRATION_S, CALIBRATION_WALK = 120.0, 0.1
 # part of a fix's error that does not last from fix to fix, at HDOP 1, an axis

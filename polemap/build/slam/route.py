@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.build.slam.constants import CALIBRATION_S, KEYFRAME_M
+from polemap.build.slam.constants import CALIBRATION_S, CAMERA_CALIBRATION_SD, KEYFRAME_M
 from polemap.build.slam.motion import (
     CALIBRATION,
     Increments,
@@ -46,6 +46,7 @@ class Route:
         path, steps: dead reckoning and increments with that calibration.
         fix_s, fix_m, hdop: `(c,)`, `(c, 2)`, `(c,)` of the fixes that are used.
         antenna_m: `(2,)`.
+        by_camera: whether the odometry is a camera's, whose calibration is known better.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Route:
     fix_m: Floats
     hdop: Floats
     antenna_m: Floats
+    by_camera: bool
 
     def __len__(self) -> int:
         return len(self.stamp_s)
@@ -113,7 +115,11 @@ class Route:
     def calibration_knowledge(self) -> tuple[Floats, Floats]:
         """What is known of the calibration beside its prior: `(k, 6)`, and information."""
         count, size = self.calibration.shape
-        return np.zeros((count, size)), np.zeros((count, size, size))
+        information = np.zeros((count, size, size))
+        if self.by_camera:
+            known = np.arange(len(CAMERA_CALIBRATION_SD))
+            information[:, known, known] = 1.0 / np.square(CAMERA_CALIBRATION_SD)
+        return np.zeros((count, size)), information
 
     def reckoned(self) -> Route:
         """The route by dead reckoning from its first pose, with the calibration that it has."""
@@ -167,6 +173,7 @@ def open_route(
     return Route(
         name, odometry, noise, stamps, path.at(stamps), zero, starts, path, steps,
         fix_s, fix_m, hdop, np.asarray(drive.gnss_antenna_m, dtype=np.float64),
+        drive.odometry_is_cameras,
     )  # fmt: skip
 
 

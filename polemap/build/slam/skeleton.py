@@ -233,6 +233,7 @@ def _route(part: Condensed, shift_m: Floats) -> CondensedRoute:
         fix_m=part.fix_m - shift_m,
         hdop=part.hdop,
         antenna_m=part.antenna_m,
+        by_camera=False,  # what is known of it is in what the drive's sections say
         known=part.known,
         information=part.information,
     )
