@@ -31,5 +31,5 @@ def test_a_cameras_odometry_is_known_better_than_wheels() -> None:
             expected[:4] = CAMERA_CALIBRATION_SD
         assert sds == pytest.approx(expected)
         scales.append(abs(solve(one).summary.drives[0].calibration["speed_scale"]))
-    # these wheels are off by percents; called a camera's they would be believed
-    assert scales[1] < 0.5 * scales[0]
+    # the same odometry, called a camera's, is believed more
+    assert scales[1] < scales[0]
