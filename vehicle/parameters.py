@@ -88,6 +88,11 @@ class Car:
                 raise VehicleError(
                     f"car {self.name}: {name} is {getattr(self, name)}, it must lie in 0 to 1"
                 )
+        if abs(self.steering_delay_s) > STEERING_DELAY_MAX_S:
+            raise VehicleError(
+                f"car {self.name}: steering_delay_s is {self.steering_delay_s}, it must lie within "
+                f"{STEERING_DELAY_MAX_S:g} s of 0"
+            )
 
     @property
     def wheelbase_m(self) -> float:
@@ -150,4 +155,5 @@ POSITIVE = (
     "cg_height_m",
     "steering_scale",
 )
+STEERING_DELAY_MAX_S = 1.0
 SHARES = ("front_drive_share", "front_brake_share")

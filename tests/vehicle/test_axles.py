@@ -54,7 +54,12 @@ def test_slip_stiffness_stands_for_the_linear_one_where_it_is_given() -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("front_friction", 0.0), ("front_brake_share", 1.2), ("steering_scale", -1.0)],
+    [
+        ("front_friction", 0.0),
+        ("front_brake_share", 1.2),
+        ("steering_scale", -1.0),
+        ("steering_delay_s", 2.0),
+    ],
 )
 def test_values_that_no_car_has_are_refused(field: str, value: float) -> None:
     with pytest.raises(VehicleError, match=field):
