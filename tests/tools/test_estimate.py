@@ -219,8 +219,8 @@ def test_a_faulty_sensor_is_told_in_json_on_the_terminal_and_on_the_page(
     assert fault["sensor"] == "steering"
     assert 12.0 <= fault["found_s"] <= 14.0
     assert 17.0 < fault["to_s"] < 22.0
-    assert "fault: steering: turns by" in shown.err
-    assert "otherwise than" in out.with_suffix(".html").read_text(encoding="utf-8")
+    assert "fault: steering: leaps by" in shown.err
+    assert "within a row" in out.with_suffix(".html").read_text(encoding="utf-8")
     assert run([*words, "--no-page", "--set", "isolate_faults=false"]) == 0
     assert "faults" not in json.loads(capsys.readouterr().out.strip().splitlines()[-1])
 
