@@ -86,7 +86,7 @@ def test_restarts_are_told_by_cause_and_failures_left_out() -> None:
 def test_a_sweep_is_drawn_from_what_there_is() -> None:
     picture = sweep([row(), row(every=10)], "park_loop", "figure_6", "every",
                     [(1, 22.0), (10, 2.2)], "frames a second")  # fmt: skip
-    assert "re-initializations a run" in picture.svg
+    assert "output over 2 m off" in picture.svg
 
 
 def test_the_street_of_a_world_is_an_extract(laps: Laps, tmp_path: Path) -> None:

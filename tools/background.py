@@ -142,8 +142,14 @@ _STROKES = {"water": ("#b9d3ea", 1.5), "rail": ("#b0a8b0", 1.0), "path": ("#dcd3
             "road": ("#cfd3d8", 3.0)}  # fmt: skip
 
 
-def draw_background(axes: Any, background: Background, centre: Floats) -> None:
-    """Draw it under everything else, moved by `-centre` `(2,)`; the axes keep their limits."""
+def draw_background(
+    axes: Any, background: Background, centre: Floats, source: str = ATTRIBUTION
+) -> None:
+    """Draw it under everything else, moved by `-centre` `(2,)`; the axes keep their limits.
+
+    Args:
+        source: whom the picture names for the data.
+    """
     from matplotlib.collections import LineCollection, PolyCollection
 
     for kind, outlines in background.areas.items():
@@ -160,6 +166,6 @@ def draw_background(axes: Any, background: Background, centre: Floats) -> None:
             LineCollection(shapes, colors=colour, linewidths=width, zorder=-2), autolim=False
         )
     axes.annotate(
-        ATTRIBUTION, (1.0, 0.0), xycoords="axes fraction", ha="right", va="bottom", fontsize=7,
+        source, (1.0, 0.0), xycoords="axes fraction", ha="right", va="bottom", fontsize=7,
         color="#6b737b",
     )  # fmt: skip

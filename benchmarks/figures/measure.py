@@ -26,7 +26,7 @@ EVERY = (1, 2, 3, 4, 10)
 """Frames of 22 Hz that are looked at: all, or every n-th: 22, 11, 7.3, 5.5 and 2.2 Hz."""
 PARTICLES = (50, 100, 200, 500, 1000, 2000)
 PRINTED_PARTICLES = 1000
-_CAUSES = "reinitializations_"
+_CAUSES = "pf_reinitializations_"
 
 
 def rate_hz(every: int) -> float:

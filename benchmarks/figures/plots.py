@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import NullFormatter
 
 from benchmarks.evaluate.report_routes import short_world
 from benchmarks.figures.laps import CONFIGURATIONS, EASY, HARD
@@ -19,7 +20,7 @@ from benchmarks.figures.measure import (
     scans_of,
 )
 from benchmarks.figures.street import street_extract
-from benchmarks.figures.tables import Courses, Row, mean_of, of, restarts_of
+from benchmarks.figures.tables import Courses, Row, mean_of, of
 from polemap.tools.background import draw_background, read_background
 from polemap.tools.report.style import (
     COLOURS,
@@ -35,6 +36,7 @@ from polemap.tools.report.style import (
 _COLOUR = {"as printed": COLOURS["pf"], "ours": COLOURS["kf"]}
 # of Figure 8: what is shown around the place where the particle filter jitters most
 _CLOSE_M = 12.0
+_REPEATABILITY_M = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 def draw(rows: list[Row], courses: Courses, routes: list[str], out: Path) -> None:
@@ -60,7 +62,8 @@ def figure_5(courses: Courses, routes: list[str], out: Path) -> Picture:
             points = laps.pole_map.points_m
             under = street_extract(short_world(route), laps.drive.frame, out / f"{route}.osm")
             centre = points.mean(axis=0).round()
-            draw_background(axes, read_background(under, laps.drive.frame, points), centre)
+            background = read_background(under, laps.drive.frame, points)
+            draw_background(axes, background, centre, "streets and houses of the simulator")
             axes.plot(*(laps.stretch.path.points_m - centre).T, color=COLOURS["kf"], lw=0.8)
             axes.plot(*(points - centre).T, "o", ms=3, color=COLOURS["pole"], mew=0)
             axes.set_aspect("equal")
@@ -72,11 +75,11 @@ def figure_5(courses: Courses, routes: list[str], out: Path) -> Picture:
 def sweep(
     rows: list[Row], route: str, key: str, swept: str, values: list[tuple[int, float]], label: str
 ) -> Picture:
-    """Repeatability, lost share and re-initializations over one setting."""
+    """Repeatability and lost shares over one setting."""
     panels: tuple[tuple[str, Callable[[list[Row]], float]], ...] = (
         ("repeatability, m", lambda r: mean_of(r, "pf", "repeatability_m")),
-        ("more than 2 m off, %", lambda r: 100.0 * mean_of(r, "pf", "lost")),
-        ("re-initializations a run", restarts_of),
+        ("particle filter over 2 m off, %", lambda r: 100.0 * mean_of(r, "pf", "lost")),
+        ("output over 2 m off, %", lambda r: 100.0 * mean_of(r, "kf", "lost")),
     )
     fixed: dict[str, Any] = {"particles": PRINTED_PARTICLES} if swept == "every" else {"every": 1}
     with drawing(9.0, 2.9) as figure:
@@ -85,11 +88,13 @@ def sweep(
             for condition, line in ((EASY, "-"), (HARD, "--")):
                 for name in CONFIGURATIONS:
                     chosen = [
-                        of(rows, route=route, condition=condition, configuration=name, **fixed,
-                           **{swept: v}) for v, _ in values
+                        (shown, found)
+                        for v, shown in values
+                        if (found := of(rows, route=route, condition=condition,
+                                        configuration=name, **fixed, **{swept: v}))
                     ]  # fmt: skip
                     axes.plot(
-                        [shown for _, shown in values], [value(r) for r in chosen],
+                        [shown for shown, _ in chosen], [value(found) for _, found in chosen],
                         f"o{line}", ms=3.5, color=_COLOUR[name], label=f"{name}, {condition}",
                     )  # fmt: skip
             plain_log(axes)
@@ -97,7 +102,8 @@ def sweep(
             axes.tick_params(axis="x", labelrotation=45)
             tidy(axes, label, "", title)
         all_axes[0].set_yscale("log")
-        all_axes[0].yaxis.set_major_formatter(all_axes[0].xaxis.get_major_formatter())
+        all_axes[0].set_yticks(_REPEATABILITY_M, [f"{tick:g}" for tick in _REPEATABILITY_M])
+        all_axes[0].yaxis.set_minor_formatter(NullFormatter())
         for axes in all_axes[1:]:
             axes.set_ylim(bottom=-0.02 * max(1.0, axes.get_ylim()[1]))
         legend_above(all_axes[0], 4)

@@ -32,6 +32,8 @@ PAPER = {
 }
 PAPER_MS = {"disparity": "56", "detection": "8", "particle filter": "5", "output filter": "< 1"}
 _PAIRS = 6
+# of the times of the filters, the first half is the start
+_SCANS = 600
 
 
 class Courses(Protocol):
@@ -52,11 +54,6 @@ def of(rows: Iterable[Row], **wanted: Any) -> list[Row]:
 def mean_of(rows: list[Row], system: str, figure: str) -> float:
     """Mean of a figure over the runs."""
     return float(np.mean([row[system][figure] for row in rows])) if rows else float("nan")
-
-
-def restarts_of(rows: list[Row]) -> float:
-    """Re-initializations a run, whatever their cause."""
-    return float(np.mean([sum(row["restarts"].values()) for row in rows])) if rows else np.nan
 
 
 def tables(rows: list[Row], courses: Courses, routes: list[str]) -> Iterator[str]:
@@ -169,12 +166,12 @@ def _stage_ms(courses: Courses, route: str, configuration: str) -> dict[str, flo
         spent.append((middle - begin, time.process_time() - middle))
     matching, detecting = 1e3 * np.median(np.array(spent[1:]), axis=0)
     laps = courses.laps(route, EASY, configuration)
-    scans = laps.drive.scans[:200]
+    scans = laps.drive.scans[:_SCANS]
     stages = run_of(laps, settings, scans, PRINTED_PARTICLES, 0, clock=time.process_time).timings_s
-    return {
-        "disparity": float(matching), "detection": float(detecting),
-        **{name: 1e3 * float(np.median(stages[key])) for name, key in _FILTERS.items()},
-    }  # fmt: skip
+    found = {"disparity": float(matching), "detection": float(detecting)}
+    for name, key in _FILTERS.items():
+        found[name] = 1e3 * float(np.median(stages[key][-_SCANS // 2 :]))
+    return found
 
 
 _FILTERS = {"particle filter": "particle_filter", "output filter": "output_pose"}

@@ -23,7 +23,7 @@ from polemap.tools.report.figures import route_pictures
 from polemap.tools.report.interactive_map import interactive_map
 from polemap.tools.report.page import Page, Section, SettingsText, render_page
 from polemap.tools.report.photos import route_photos
-from polemap.tools.report.route_tables import all_tables, repeatability_table
+from polemap.tools.report.route_tables import all_tables
 from polemap.tools.report.slam_section import slam_sections
 from polemap.tools.report.style import Picture
 from polemap.tools.report.summary import summarise
@@ -90,13 +90,16 @@ def write_report(
         )
         for slug, result in zip(slugs, results, strict=True)
     ]
+    # a repeatability has the driver in it: where the truth is known, the error stands first
+    known = any(result.against == "truth" for result in results)
+    heads = ("accuracy", "repeatability") if known else ("repeatability",)
     page = Page(
         title="Localization report",
         version=__version__,
         made=made,
         machine=machine,
-        head_tables=(repeatability_table(results),),
-        tables=tuple(t for t in tables if t.key != "repeatability"),
+        head_tables=tuple(t for key in heads for t in tables if t.key == key),
+        tables=tuple(t for t in tables if t.key not in heads),
         pictures=sweeps.pictures,
         sections=tuple(sections),
         notes=tuple(content["notes"]),

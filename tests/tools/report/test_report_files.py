@@ -39,6 +39,17 @@ def report(campus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_where_the_truth_is_known_accuracy_stands_before_repeatability(
+    report: Path, make_runs: Maker, tmp_path: Path
+) -> None:
+    page = (report / "report.html").read_text()
+    assert page.index("Lateral RMSE [m]") < page.index(">Repeatability")
+    runs = make_runs(tmp_path / "yard", runs=1, laps=2, with_truth=False)
+    assert cli.run(["report", str(runs), "--out", str(tmp_path / "report")]) == cli.GOOD
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert page.index(">Repeatability") < page.index("Lateral RMSE [m]")
+
+
 def test_files_and_contract(report: Path) -> None:
     content = json.loads((report / "report.json").read_text())
     entry = content["repeatability"]["synthetic"]
