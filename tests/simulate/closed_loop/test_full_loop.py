@@ -166,11 +166,11 @@ def test_a_drive_that_was_never_handed_over_has_failed_and_costs_nothing() -> No
         return study.Driven(run, None)
 
     drives = {(kmh, case.key): [driven(6.0)] for kmh in study.SPEEDS_KMH for case in study.CASES}
-    drives[50, "raw"] = [driven(float("nan"))]
+    drives[50, "camera"] = [driven(float("nan"))]
     made = study._study(drives, [70])
     lines = {line.name: line for line in made.lines}
-    assert lines["50 km/h, the same, particle filter as it is"].claim == "1 failed"
-    assert lines["50 km/h: what steering by the particle filter as it is cost"].ours == "-"
+    assert lines["50 km/h, 74 ms, map of camera and GNSS, camera odometry"].claim == "1 failed"
+    assert lines["50 km/h: what doing without reference and wheels cost"].ours == "-"
     assert lines["50 km/h: what 74 ms of processing cost"].ours == "+0 mm rms"
     assert made.figures["30_here_pose_lateral_m"] == pytest.approx(0.04)
     assert made.figures["30_here_rms_m"] == pytest.approx(0.05 / np.sqrt(2.0), rel=0.05)
