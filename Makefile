@@ -32,13 +32,13 @@ lint: setup
 check: lint test
 
 # what the docs name and CI has no time for
-check-# Tables I to III and Figures 5 to 8 of the source paper, and the worlds that are set aside
+check-docs: setup
+	$(BIN)/python -m pytest -m docs tests/test_docs_commands.py
+
+# Tables I to III and Figures 5 to 8 of the source paper, and the worlds that are set aside
 figures: setup
 	$(BIN)/python -m benchmarks.figures --out figures
 	$(BIN)/python -m benchmarks.localize.set_aside --rows figures/set_aside.jsonl
-
-docs: setup
-	$(BIN)/python -m pytest -m docs tests/test_docs_commands.py
 
 bench: setup
 	$(BIN)/python -m benchmarks
