@@ -90,7 +90,7 @@ def test_the_core_alone_turns_vectors_in_the_plane() -> None:
         "stereo/rig.py",  # pitch and roll
         "drivelog/tum.py",  # the half angle of a quaternion
         "electric/estimators/kinematic.py",  # a transition matrix, from the single track's step
-        "electric/estimators/two_layer.py",
+        "electric/estimators/velocity_layer.py",
     }
     rooms = [*(name for name in ROOMS if name != "vehicle"), "polemap", "benchmarks"]
     found = [

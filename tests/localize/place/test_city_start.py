@@ -202,7 +202,7 @@ def test_live_neither_the_index_nor_the_window_holds_up_a_scan(unindexed: Path) 
     asking.start()
     asking.join(60.0)
     assert not asking.is_alive(), "a scan waits for tiles that never come"
-    assert slow.asked.is_set()
+    assert slow.asked.wait(60.0)
     slow.ready.set()
     filter_ = localizer._particle_filter
     patterns = filter_._recovery.search._claims._patterns
