@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from queue import Empty, Queue
+from queue import Empty, Full, Queue
 from threading import Event, Semaphore, Thread
 from typing import TypeVar, cast
 
@@ -12,7 +12,7 @@ from polemap.drivelog.samples import StereoFrame
 from polemap.stereo.matching import DisparityPair
 
 _Sample = TypeVar("_Sample")
-_FRAMES_AHEAD = 1
+_FRAMES_AHEAD, _SAMPLES_AHEAD = 1, 256
 _LOOK_S = 0.1
 
 
@@ -34,8 +34,16 @@ def match_ahead(
     Raises:
         Exception: what reading or matching raised, at the sample's turn.
     """
-    coming: Queue[_Sample | BaseException | None] = Queue()
+    coming: Queue[_Sample | BaseException | None] = Queue(_SAMPLES_AHEAD)
     room, stop = Semaphore(1 + _FRAMES_AHEAD), Event()
+
+    def hand_over(sample: _Sample | BaseException | None) -> None:
+        while not stop.is_set():
+            try:
+                coming.put(sample, timeout=_LOOK_S)
+            except Full:
+                continue
+            return
 
     def read() -> None:
         try:
@@ -44,14 +52,14 @@ def match_ahead(
                     while not room.acquire(timeout=_LOOK_S):
                         if stop.is_set():
                             return
-                    coming.put(cast(_Sample, match(sample)))
+                    hand_over(cast(_Sample, match(sample)))
                 else:
-                    coming.put(sample)
+                    hand_over(sample)
                 if stop.is_set():
                     return
-            coming.put(None)
+            hand_over(None)
         except BaseException as error:  # handed to the thread that asks
-            coming.put(error)
+            hand_over(error)
 
     thread = Thread(target=read, name="matching", daemon=True)
     thread.start()

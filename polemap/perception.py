@@ -202,7 +202,10 @@ def scan_drive(
         raise InputError(f"drive {drive.name}: it has neither images nor {drive.names.poles}")
     perception = PolePerception(drive.rig, config, stereo=stereo)
     scans = []
-    for sample in match_ahead(samples_in_order(drive), perception.matched):
+    samples = samples_in_order(drive)
+    if drive.has_frames:
+        samples = match_ahead(samples, perception.matched)
+    for sample in samples:
         if isinstance(sample, OdometrySample):
             perception.record_odometry(sample)
             continue

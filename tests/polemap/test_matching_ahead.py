@@ -48,6 +48,21 @@ def test_one_frame_ahead_and_no_more():
             assert done[-1] == min(sample.index + 1, 5)
 
 
+def test_not_the_whole_of_a_long_drive_is_read_ahead():
+    read = []
+
+    def reading():
+        for k in range(5000):
+            read.append(k)
+            yield OdometrySample(float(k), float(k), 1.0, 0.0)
+
+    got = match_ahead(reading(), matched)
+    next(got)
+    time.sleep(0.3)
+    assert len(read) < 300
+    assert sum(1 for _ in got) == 4999
+
+
 @pytest.mark.parametrize("where", ["reading", "matching"])
 def test_an_error_comes_at_its_samples_turn(where):
     def reading():
