@@ -139,7 +139,7 @@ def test_each_strip_searches_what_the_small_pair_shows(offset):
     expected = reference.searched_rows(left, right, options)
     assert expected[0] == 48
     assert 68 - offset <= expected[-20] <= 80 - offset
-    config = StereoConfig(disparities=128, min_disparity_px=offset)
+    config = StereoConfig(disparities=128, min_disparity_px=offset, search="strips")
     for kind in INSTRUCTION_SETS:
         assert (
             make(options, instruction_set=kind, search_strips=True).searched(left, right)
