@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import os
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -67,6 +69,28 @@ def command_line(
             kind = Path if isinstance(default, Path) else type(default)
             parser.add_argument(flag, type=kind, default=default)
     return parser.parse_args(given)
+
+
+def rows_in(file: Path, *key: str) -> dict[Any, dict[str, Any]]:
+    """Rows of JSON lines by the values of `key`; a line that was cut off is told and left out."""
+    found: dict[Any, dict[str, Any]] = {}
+    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+        try:
+            row = json.loads(line)
+            found[tuple(row[name] for name in key)] = row
+        except (ValueError, KeyError, TypeError):
+            print(f"{file}: a line that is no row is left out", file=sys.stderr)
+    return found
+
+
+def append_row(file: Path, row: Mapping[str, Any]) -> None:
+    """Add a row to JSON lines, on a line of its own also where the last one was cut off."""
+    with file.open("a+b") as lines:
+        if lines.tell():
+            lines.seek(-1, os.SEEK_END)
+            if lines.read(1) != b"\n":
+                lines.write(b"\n")
+        lines.write(json.dumps(row).encode() + b"\n")
 
 
 def interleaved(

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from benchmarks.evaluate.report_routes import short_world
-from benchmarks.figures.__main__ import rows_in, wanted
+from benchmarks.figures.__main__ import _KEY, wanted
 from benchmarks.figures.laps import CONFIGURATIONS, EASY, HARD, Laps, drive_of, laps_of
 from benchmarks.figures.measure import EVERY, PARTICLES, scans_of, track_figures
 from benchmarks.figures.plots import sweep
 from benchmarks.figures.street import street_extract
 from benchmarks.figures.tables import sweep_table
+from benchmarks.harness import append_row, rows_in
 from benchmarks.localize import set_aside
 from polemap.localize.config import LocalizeConfig
 from polemap.settings import load_settings
@@ -102,7 +103,10 @@ def test_the_street_of_a_world_is_an_extract(laps: Laps, tmp_path: Path) -> None
 def test_a_cut_line_is_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rows.jsonl"
     path.write_text(json.dumps(row()) + "\n" + json.dumps(row(seed=1))[:40])
-    assert [key[-1] for key in rows_in(path)] == [0]
+    assert [key[-1] for key in rows_in(path, *_KEY)] == [0]
+    # the next row does not hang on what was cut off
+    append_row(path, {**next(iter(rows_in(path, *_KEY).values())), "seed": 7})
+    assert [key[-1] for key in rows_in(path, *_KEY)] == [0, 7]
     assert "a line that is no row is left out" in capsys.readouterr().err
 
 

@@ -13,7 +13,6 @@ seed is the filter's and the simulated GNSS's). Rows that the file has already a
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,21 +23,9 @@ from benchmarks.departures.cases import all_cases, case_names, concern_of, setti
 from benchmarks.departures.judge import run_case
 from benchmarks.departures.routes import ROUTES, Course
 from benchmarks.departures.table import tables
-from benchmarks.harness import command_line
+from benchmarks.harness import append_row, command_line, rows_in
 
 Key = tuple[str, int, str]
-
-
-def rows_in(path: Path) -> dict[Key, dict[str, Any]]:
-    """Rows of a file by route, seed and case; a last line that was cut off is made again."""
-    found: dict[Key, dict[str, Any]] = {}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        try:
-            row = json.loads(line)
-            found[row["route"], row["seed"], row["case"]] = row
-        except (ValueError, KeyError, TypeError):
-            print(f"{path}: a line that is no row is left out", file=sys.stderr)
-    return found
 
 
 def new_rows(route: str, seed: int, cases: list[str], folder: Path) -> Iterator[dict[str, Any]]:
@@ -60,7 +47,7 @@ def main() -> int:
         __doc__, rows=Path("departures.jsonl"), routes=list(ROUTES), seeds=2, first=0,
         cases=all_cases(), table=False,
     )  # fmt: skip
-    rows = rows_in(asked.rows)
+    rows = rows_in(asked.rows, "route", "seed", "case")
     with TemporaryDirectory() as name:
         for seed in () if asked.table else range(asked.first, asked.first + asked.seeds):
             for route in asked.routes:
@@ -74,8 +61,7 @@ def main() -> int:
                 ]
                 for row in new_rows(route, seed, cases, Path(name)):
                     rows[route, seed, row["case"]] = row
-                    with asked.rows.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(row) + "\n")
+                    append_row(asked.rows, row)
                     print(f"{route} {seed} {row['case']}: {row.get('failed', 'done')}", flush=True)
     print("\n\n".join(tables(list(rows.values()))))
     return 0

@@ -14,7 +14,6 @@ it out.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,7 +31,7 @@ from benchmarks.figures.measure import (
 )
 from benchmarks.figures.plots import draw
 from benchmarks.figures.tables import tables
-from benchmarks.harness import command_line
+from benchmarks.harness import append_row, command_line, rows_in
 
 Key = tuple[str, str, str, int, int, int]
 Row = dict[str, Any]
@@ -56,19 +55,6 @@ def wanted(routes: list[str], runs: int, sweep_runs: int) -> Iterator[Key]:
                     yield swept, condition, configuration, every, PRINTED_PARTICLES, seed
                 for particles in counts:
                     yield swept, condition, configuration, 1, particles, seed
-
-
-def rows_in(path: Path) -> dict[Key, Row]:
-    """Rows of a file; a last line that was cut off is made again."""
-    found: dict[Key, Row] = {}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        try:
-            row = json.loads(line)
-            route, condition, configuration, every, particles, seed = (row[k] for k in _KEY)
-            found[route, condition, configuration, every, particles, seed] = row
-        except (ValueError, KeyError, TypeError):
-            print(f"{path}: a line that is no row is left out", file=sys.stderr)
-    return found
 
 
 class Courses:
@@ -112,14 +98,13 @@ def main() -> int:
     )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
     file = asked.out / "rows.jsonl"
-    rows, courses = rows_in(file), Courses(asked.out / "drives", asked.laps)
+    rows, courses = rows_in(file, *_KEY), Courses(asked.out / "drives", asked.laps)
     (asked.out / "drives").mkdir(exist_ok=True)
     for key in () if asked.draw else wanted(asked.routes, asked.runs, asked.sweep_runs):
         if key in rows:
             continue
         rows[key] = courses.row(key)
-        with file.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(rows[key]) + "\n")
+        append_row(file, rows[key])
         print(*key, rows[key].get("failed", "done"), flush=True)
     draw(list(rows.values()), courses, asked.routes, asked.out)
     text = "\n\n".join(tables(list(rows.values()), courses, asked.routes))

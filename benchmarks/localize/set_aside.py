@@ -13,7 +13,6 @@ has already are not made again. Not timed, so `python -m benchmarks` leaves it o
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -24,7 +23,7 @@ import numpy as np
 
 from benchmarks.departures.judge import run_case
 from benchmarks.departures.routes import SIMULATED, Course, simulated, truth_of
-from benchmarks.harness import FOLDER, command_line
+from benchmarks.harness import FOLDER, append_row, command_line, rows_in
 from benchmarks.localize.worlds import MAP_EVERY, RATE_HZ, map_of, scenario_of, see
 from polemap.drivelog.readers.registry import open_drive
 from polemap.settings import Settings
@@ -104,18 +103,6 @@ def consistent(nees: np.ndarray) -> int:
     return int(np.count_nonzero((nees >= CONSISTENT[0]) & (nees <= CONSISTENT[1])))
 
 
-def rows_in(path: Path) -> dict[Key, Row]:
-    """Rows of a file; a last line that was cut off is made again."""
-    found: dict[Key, Row] = {}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        try:
-            row = json.loads(line)
-            found[row["route"], row["world"], row["pictures"]] = row
-        except (ValueError, KeyError, TypeError):
-            print(f"{path}: a line that is no row is left out", file=sys.stderr)
-    return found
-
-
 def main() -> int:
     """Make what is asked for and print the tables."""
     asked = command_line(
@@ -123,7 +110,7 @@ def main() -> int:
         pictures=False, table=False,
     )  # fmt: skip
     chosen = list(range(asked.first, asked.first + asked.worlds)) if asked.first else set_aside()
-    rows = rows_in(asked.rows)
+    rows = rows_in(asked.rows, "route", "world", "pictures")
     for world in () if asked.table else chosen[: asked.worlds]:
         for route in asked.routes:
             if (route, world, asked.pictures) in rows:
@@ -131,8 +118,7 @@ def main() -> int:
             with TemporaryDirectory() as name:
                 row = row_of(route, world, Path(name), pictures=asked.pictures)
             rows[route, world, asked.pictures] = row
-            with asked.rows.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+            append_row(asked.rows, row)
             print(f"{route} {world}: {row.get('failed', 'done')}", flush=True)
     print("\n\n".join(tables(list(rows.values()))))
     return 0

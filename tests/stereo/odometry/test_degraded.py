@@ -53,6 +53,14 @@ def _covered(view: Grey) -> Grey:
     return covered
 
 
+def _worsened(pairs: Pairs, worsen: Worsen) -> Pairs:
+    """The pairs `BAD` made worse."""
+    return [
+        (s, worsen(left), worsen(right)) if row in BAD else (s, left, right)
+        for row, (s, left, right) in enumerate(pairs)
+    ]
+
+
 @pytest.mark.parametrize(
     ("worsen", "off_m"),
     [
@@ -67,11 +75,7 @@ def test_motion_is_measured_through(
     street: tuple[StereoRig, Pairs], worsen: Worsen, off_m: float
 ) -> None:
     rig, pairs = street
-    worse = [
-        (s, worsen(left), worsen(right)) if row in BAD else (s, left, right)
-        for row, (s, left, right) in enumerate(pairs)
-    ]
-    motions = _follow(rig, worse)
+    motions = _follow(rig, _worsened(pairs, worsen))
     assert all(m.known for m in motions[1:])
     assert _steps(motions) == pytest.approx(_steps(_follow(rig, pairs)), abs=off_m)
 
@@ -90,11 +94,7 @@ def test_nothing_is_claimed_and_it_comes_back(
     street: tuple[StereoRig, Pairs], worsen: Worsen
 ) -> None:
     rig, pairs = street
-    worse = [
-        (s, worsen(left), worsen(right)) if row in BAD else (s, left, right)
-        for row, (s, left, right) in enumerate(pairs)
-    ]
-    motions = _follow(rig, worse)
+    motions = _follow(rig, _worsened(pairs, worsen))
     known = np.array([m.known for m in motions])
     # the first good pair has nothing before it
     assert not known[BAD.start : BAD.stop + 1].any()
