@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polemap.drivelog.columns import Columns
 from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.drivelog.line_detections import LineDetections
 
 Floats = NDArray[np.float64]
 
@@ -52,8 +53,9 @@ class Detections(Columns):
     Attributes:
         stamp_s, arrival_s: when it was measured, and when it reached the computer.
         view: where a landmark would have been detected, or None if the sensor does not say.
+        lines: pieces of lines that were seen, or None of a detector that looks for none.
         kind: `(n,)` a `LandmarkKind`.
-        points_vehicle_m: `(n, 2)` axis at ground level.
+        points_vehicle_m: `(n, 2)` axis at ground level; of a corner its edge.
         covariance_m2: `(n, 2, 2)`, without the error that `shift_per_px_m` tells of.
         width_m: `(n,)`, NaN where unknown.
         height_m: `(n,)` visible height over the ground, NaN where unknown.
@@ -61,13 +63,16 @@ class Detections(Columns):
         track_id: `(n,)`, -1 where it belongs to no track.
         shift_per_px_m: `(n, 2)` how the point moves when all disparities grow by one pixel; zero
             where no stereo camera measured it or its shared error is not considered.
+        facing_rad: `(n,)` of a corner, counter-clockwise from forward: from its edge into the
+            free side, away from what it bounds; NaN where the kind has none.
     """
 
-    HEADER: ClassVar[frozenset[str]] = frozenset({"stamp_s", "arrival_s", "view"})
+    HEADER: ClassVar[frozenset[str]] = frozenset({"stamp_s", "arrival_s", "view", "lines"})
 
     stamp_s: float
     arrival_s: float
     view: VisibleRegion | None = None
+    lines: LineDetections | None = None
     kind: NDArray[np.int8]
     points_vehicle_m: Floats
     covariance_m2: Floats
@@ -76,6 +81,7 @@ class Detections(Columns):
     probability: Floats
     track_id: NDArray[np.int64]
     shift_per_px_m: Floats
+    facing_rad: Floats
 
     def of_kinds(self, *kinds: int) -> Self:
         """The rows of some kinds; the table itself where it holds no others."""
@@ -128,4 +134,5 @@ def pole_detections(
             else np.asarray(track_id, dtype=np.int64)
         ),
         shift_per_px_m=np.zeros((n, 2)),
+        facing_rad=np.full(n, np.nan),
     )

@@ -1,9 +1,10 @@
-"""Classes of landmarks; a second one begins here.
+"""Classes of landmarks: points that stand beside the road, and lines along it.
 
-A further class (signs, trunks, kerb corners) is a further `LandmarkKind`, and its detector fills
-rows of that kind. From there on the column decides: tracks, traversals, poles of the map and what
-the particle filter matches are associated within a kind, and a map file names the kinds of its rows
-where not all are poles. A filter leaves out what its map holds none of.
+From the detector to the map and the filters the class decides: tracks, traversals, landmarks of the
+map and what the particle filter matches are associated within a kind, and a map file names the
+kinds of its rows where not all are poles. A filter leaves out what its map holds none of.
+
+Points (poles, corners) are rows of `Detections`; lines are rows of its `lines`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,23 @@ from enum import IntEnum
 
 
 class LandmarkKind(IntEnum):
-    """Classes of landmarks, as the column `kind` of the detections names them."""
+    """Classes of landmarks, as the column `kind` names them."""
 
     POLE = 0
+    CORNER = 1  # vertical edge of a house, a wall, a gate: a point with a free side
+    LANE_MARKING = 2
+    KERB = 3
+    FACADE = 4  # wall of a house, seen from above
+
+
+POINT_KINDS = frozenset({LandmarkKind.POLE, LandmarkKind.CORNER})
+LINE_KINDS = frozenset({LandmarkKind.LANE_MARKING, LandmarkKind.KERB, LandmarkKind.FACADE})
+
+
+class LineStyle(IntEnum):
+    """How a line is drawn, as the column `style` of lines names it."""
+
+    UNKNOWN = 0
+    SOLID = 1
+    DASHED = 2
+    DOUBLE = 3

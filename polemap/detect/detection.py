@@ -169,6 +169,7 @@ def _locate(
         probability=probability,
         track_id=np.full(n, -1, dtype=np.int64),
         shift_per_px_m=np.zeros((n, 2)),
+        facing_rad=np.full(n, np.nan),
         left_px=profiles.left_px,
         right_px=profiles.right_px,
         top_px=hypotheses.top_px,

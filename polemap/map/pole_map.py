@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from polemap.drivelog.detections import VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, transform_points
+from polemap.map.line_map import LineMap, join_lines
 from polemap.vehicle.packed import transform_point
 from polemap.vehicle.pose import rotate_back
 
@@ -43,6 +44,7 @@ class PoleMap:
             where not all rows are poles).
         notes: what a user of the map must know (a frame that was assumed, say).
         doubtful: poles that were removed, or that await proof; kept for the next update only.
+        lines: markings, kerbs and facades of the same frame, or None of a map that knows none.
 
     Raises:
         InputError: arrays of unequal length, coordinates or covariances that are not finite,
@@ -61,6 +63,7 @@ class PoleMap:
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     doubtful: PoleMap | None = None
+    lines: LineMap | None = None
     _tree: scipy.spatial.KDTree | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -206,6 +209,7 @@ class PoleMap:
             covariance_m2=covariance,
             notes=(*self.notes, note),
             doubtful=self.doubtful.to_frame(frame) if self.doubtful is not None else None,
+            lines=self.lines.to_frame(frame) if self.lines is not None else None,
             _tree=None,
         )
 
@@ -225,6 +229,7 @@ def join_maps(*maps: PoleMap) -> PoleMap:
     }
     if any(KIND_COLUMN in one.extra for one in maps):
         extra[KIND_COLUMN] = all_of("kind")
+    lines = [one.lines for one in maps if one.lines is not None]
     return PoleMap(
         frame=first.frame,
         ids=all_of("ids"),
@@ -237,4 +242,5 @@ def join_maps(*maps: PoleMap) -> PoleMap:
         existence=all_of("existence"),
         extra=extra,
         notes=tuple(note for one in maps for note in one.notes),
+        lines=join_lines(lines) if lines else None,
     )

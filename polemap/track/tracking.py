@@ -39,7 +39,7 @@ from polemap.track.constants import (
 )
 from polemap.track.tracks import Motion, Tracks
 from polemap.vehicle.kalman import chi_square_quantile
-from polemap.vehicle.pose import rotation
+from polemap.vehicle.pose import rotation, wrap_angle
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -85,6 +85,7 @@ class PoleTracker:
             points_vehicle_m=points,
             covariance_m2=covariance,
             shift_per_px_m=tracks.shift_per_px_m @ later_from_earlier.T,
+            facing_rad=tracks.facing_rad - motion.turn_rad,
         )
 
     def shift_tracks(self, change: float) -> None:
@@ -182,6 +183,8 @@ class PoleTracker:
         part = 1.0 / np.minimum(tracks.hits[one] + 1.0, _HEIGHT_MEMORY)
         mixed = np.where(np.isnan(height[one]), tall, height[one] + part * (tall - height[one]))
         height[one] = np.where(np.isnan(tall), height[one], mixed)
+        facing = tracks.facing_rad.copy()
+        facing[one] += part * wrap_angle(detections.facing_rad[two] - facing[one])
         log_odds = tracks.log_odds.copy()
         log_odds[one] += pace * self._evidence(detections.probability[two])
         hits, seen_s = tracks.hits.copy(), tracks.seen_s.copy()
@@ -200,6 +203,7 @@ class PoleTracker:
             seen_s=seen_s,
             detection=detection,
             shift_per_px_m=shared,
+            facing_rad=facing,
         )
 
     def _miss(self, tracks: Tracks, detections: Detections, pace: float) -> Tracks:
@@ -241,6 +245,7 @@ class PoleTracker:
             confirmed=np.zeros(count, dtype=bool),
             detection=rows.astype(np.int64),
             shift_per_px_m=detections.shift_per_px_m[rows],
+            facing_rad=detections.facing_rad[rows],
         )
 
 

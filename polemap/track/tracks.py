@@ -34,6 +34,7 @@ class Tracks(Columns):
         confirmed: `(n,)`.
         detection: `(n,)` row of the detection that it took in the last update, -1 if none.
         shift_per_px_m: `(n, 2)` how the point moves when all disparities grow by one pixel.
+        facing_rad: `(n,)` into the free side of a corner, NaN of other kinds.
     """
 
     ids: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -50,6 +51,7 @@ class Tracks(Columns):
     confirmed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     detection: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     shift_per_px_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    facing_rad: Floats = field(default_factory=_none)
 
     @property
     def existence(self) -> Floats:
@@ -119,4 +121,6 @@ def _as_detections(
         probability=tracks.existence,
         track_id=tracks.ids,
         shift_per_px_m=np.zeros((len(tracks), 2)),
+        facing_rad=tracks.facing_rad,
+        lines=moment.lines,
     )

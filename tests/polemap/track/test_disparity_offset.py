@@ -55,7 +55,7 @@ def drive(
         tracks = Tracks(
             seen.astype(np.int64), detections.kind, points, covariance, none, none, none, none,
             np.ones(count, np.int64), none, none, np.ones(count, bool), np.arange(count),
-            np.zeros((count, 2)),
+            np.zeros((count, 2)), np.full(count, np.nan),
         )  # fmt: skip
         offset.learn_from_tracks(detections, tracks, DT_S if frame else np.inf)
     return offset

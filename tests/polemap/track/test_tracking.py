@@ -10,12 +10,19 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.track import tracking
 from polemap.track.config import TrackingConfig
 from polemap.track.constants import ERROR_TIME_S, GATE_PROBABILITY, POLE_SHARE, SPEED_SD_MPS
 from polemap.track.tracking import PoleTracker
 from polemap.track.tracks import Motion
-from polemap.vehicle.pose import Pose2D, compose, inverse_transform_points
+from polemap.vehicle.pose import (
+    Pose2D,
+    compose,
+    inverse_transform_points,
+    rotation,
+    wrap_angle,
+)
 
 CONFIG = TrackingConfig()
 Floats = NDArray[np.float64]
@@ -266,3 +273,26 @@ def test_a_track_takes_detections_of_its_own_kind_only() -> None:
     first = tracker.correct_tracks(pole)
     assert tracker.correct_tracks(sign)[0] != first[0]
     assert tracker.correct_tracks(detected(0.2, [10.0, 2.0]))[0] == first[0]
+
+
+def test_the_free_side_of_a_corner_turns_with_the_car_and_is_averaged_over_the_full_circle() -> (
+    None
+):
+    tracker = PoleTracker(TrackingConfig())
+    corner = np.array([[10.0, 3.0]])
+    for step, facing in enumerate([np.pi - 0.1, -np.pi + 0.1]):
+        # the second look is turned to the left by 0.2, so its vehicle frame sees everything turned
+        if step:
+            tracker.predict_tracks(Motion(0.1, 0.0, 0.0, 0.2, 0.0))
+            corner = corner @ rotation(-0.2).T
+        seen = detected(0.1 * step, corner)
+        tracker.correct_tracks(
+            replace(
+                seen,
+                kind=np.array([LandmarkKind.CORNER], dtype=np.int8),
+                facing_rad=np.array([facing]),
+            )
+        )
+    assert tracker.tracks.kind.tolist() == [LandmarkKind.CORNER]
+    # predicted pi - 0.3, seen -pi + 0.1: half way between them across the cut of the circle
+    assert wrap_angle(tracker.tracks.facing_rad[0] - (np.pi - 0.1)) == pytest.approx(0.0, abs=1e-9)
