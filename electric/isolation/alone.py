@@ -7,6 +7,8 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.electric.isolation.shared_movement import Recent
+
 Floats = NDArray[np.float64]
 
 GYRO, STEERING, WHEEL_SPEED = "gyro", "steering", "wheel speed"
@@ -24,6 +26,10 @@ _SECOND = 6.0**0.5
 _NOISY, _NOISY_SHARE, _FADE = 5.0, 0.85, 0.8
 # what a rough road shakes accelerometers by, however quiet the last one was
 _ROUGH_SD = np.array([0.0, 0.0, 0.8, 0.8, 0.0])
+# who else shows it where a car shakes: an acceleration in the wheels' speed, a side force and the
+# steering that makes one in the yaw rate
+_SHARED = ((FORWARD, WHEEL_SPEED), (LATERAL, GYRO), (STEERING, GYRO))
+_HARD_MPS2 = 2.5
 # a signal that climbs in stairs has no more than so many times its slope
 _STAIRS = 2.0
 _LEARN_TICKS, _LEARN_RATE = 20, 0.003
@@ -53,12 +59,14 @@ class OwnChecks:
         self._first: list[Floats] = []
         self.base = np.zeros(5)
         self._share = np.zeros(5)
+        self._recent = Recent()
         self.still_s = np.zeros(5)
 
     def look(self, stamps_s: Floats, table: Floats, moving: bool) -> dict[str, str]:
         """Rows `(n, 7)` of inputs at stamps `(n,)`; what is wrong with which sensor."""
         values = np.concatenate([self._tail, table[:, COLUMNS]])
         self._tail = values[-2:]
+        self._recent.add(stamps_s, table)
         found = dict.fromkeys(self._constant(stamps_s, values, len(table), moving), CONSTANT)
         if len(values) < 6:
             return found
@@ -72,12 +80,28 @@ class OwnChecks:
         limit = np.maximum(LEAST_SPIKE, SPIKE_SD * sd)
         turned = (first[1:] * first[:-1] < 0.0) & (np.abs(first[1:]) > limit)
         spiked = (turned & (np.abs(first[:-1]) > limit)).any(axis=0)
-        for name, noisy, spike in zip(FAST, self._share > _NOISY_SHARE, spiked, strict=True):
-            if noisy:
+        loud = self._share > _NOISY_SHARE
+        shaken = self._shaken() if loud.any() else set()
+        for name, noisy, spike in zip(FAST, loud, spiked, strict=True):
+            if noisy and name not in shaken:
                 found.setdefault(name, NOISY)
             elif spike:
                 found.setdefault(name, SPIKES)
         return found
+
+    def _shaken(self) -> set[str]:
+        """Sensors whose fast changes others show as well: the car moves so."""
+        place = dict(zip(FAST, COLUMNS, strict=True))
+        shaken: set[str] = set()
+        for cause, moved in _SHARED:
+            told = self._recent.compared(place[cause], place[moved])
+            if told.shared:
+                shaken |= {cause, moved}
+            elif cause == FORWARD and told.hidden:
+                # brakes and drive at their limit pulse, and these wheels would not show it
+                hard = self._recent.hardest(place[moved]) > _HARD_MPS2
+                shaken |= {cause} if hard else set()
+        return shaken
 
     def _constant(self, stamps_s: Floats, values: Floats, rows: int, moving: bool) -> list[str]:
         end = float(stamps_s[-1])
