@@ -5,6 +5,7 @@ The column `kind` names the class of a row (`landmark_kind.py`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -34,6 +35,11 @@ class VisibleRegion:
     range_min_m: float
     free_range_m: Floats
 
+    @property
+    def sees_nothing(self) -> bool:
+        """Whether no pole could have been seen: another detector looked, one of lines, say."""
+        return not bool(np.max(self.free_range_m) > self.range_min_m)
+
     def contains(self, points_vehicle_m: Floats) -> NDArray[np.bool_]:
         """Which of the points `(..., 2)` could have been seen; `(...,)`."""
         offset = np.asarray(points_vehicle_m, dtype=np.float64) - self.origin_vehicle_m
@@ -44,6 +50,10 @@ class VisibleRegion:
         column = np.floor((bearing - self.bearing_min_rad) / span * bins).astype(np.int64)
         inside = (column >= 0) & (column < bins) & (distance >= self.range_min_m)
         return inside & (distance <= self.free_range_m[np.clip(column, 0, bins - 1)])
+
+
+NOTHING_IN_VIEW = VisibleRegion(np.zeros(2), -np.pi, np.pi, 1.0, np.zeros(1))
+"""Of a moment at which no detector of poles looked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +97,12 @@ class Detections(Columns):
         """The rows of some kinds; the table itself where it holds no others."""
         mine = np.isin(self.kind, kinds)
         return self if mine.all() else self.take(mine)
+
+
+def pole_view(scans: Sequence[Detections]) -> VisibleRegion | None:
+    """What the detector of poles behind scans could see: of the first at which it looked."""
+    views = (scan.view for scan in scans)
+    return next((view for view in views if view is not None and not view.sees_nothing), None)
 
 
 def pole_detections(

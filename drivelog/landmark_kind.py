@@ -11,6 +11,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class LandmarkKind(IntEnum):
     """Classes of landmarks, as the column `kind` names them."""
@@ -24,6 +27,16 @@ class LandmarkKind(IntEnum):
 
 POINT_KINDS = frozenset({LandmarkKind.POLE, LandmarkKind.CORNER})
 LINE_KINDS = frozenset({LandmarkKind.LANE_MARKING, LandmarkKind.KERB, LandmarkKind.FACADE})
+
+
+def kind_counts(kinds: NDArray[np.int8]) -> str:
+    """How many of each, such as "12 poles, 3 lane markings"; empty without any."""
+    told = []
+    for kind, count in zip(*np.unique(kinds, return_counts=True), strict=True):
+        known = kind in LandmarkKind.__members__.values()
+        name = LandmarkKind(kind).name.lower().replace("_", " ") if known else f"of kind {kind}"
+        told.append(f"{count} {name}{'s' if known and count != 1 else ''}")
+    return ", ".join(told)
 
 
 class LineStyle(IntEnum):

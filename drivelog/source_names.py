@@ -34,7 +34,7 @@ class SourceNames:
     The name of a stream that the source lacks says what it would have to hold.
 
     Attributes:
-        frames, odometry, gnss, reference, poles, laps: the streams; no two have the same name.
+        frames, odometry, gnss, reference, poles, lines, laps: the streams; no two have one name.
         head: where car, camera and earth frame are stated.
         calibration: the numbers of car and camera there.
     """
@@ -44,6 +44,7 @@ class SourceNames:
     gnss: str = "fixes"
     reference: str = "reference"
     poles: str = "poles"
+    lines: str = "lines"
     laps: str = "laps"
     head: str = "description of the drive"
     calibration: CalibrationNames = CalibrationNames()
@@ -67,6 +68,7 @@ FOLDER = SourceNames(
     gnss="gnss.csv",
     reference="reference.csv",
     poles="poles.csv",
+    lines="lines.csv",
     laps="laps.csv",
     head="drive.yaml",
     calibration=CalibrationNames(

@@ -82,6 +82,7 @@ def read_table(
     *,
     optional: Sequence[str] = (),
     texts: Sequence[str] = (),
+    optional_texts: Sequence[str] = (),
     drop_not_finite: bool = True,
 ) -> Table:
     """Read a CSV file with a header, UTF-8; unknown columns are left aside.
@@ -91,6 +92,7 @@ def read_table(
         required: number columns that must be there.
         optional: number columns that may be there; an empty cell is NaN.
         texts: text columns that must be there.
+        optional_texts: text columns that may be there.
         drop_not_finite: leave rows out (and count them) in which a required number is missing or
             not finite; otherwise such a row is an error.
 
@@ -107,10 +109,11 @@ def read_table(
     filled = (raw != "").any(axis=1).to_numpy() if len(raw) else np.zeros(0, dtype=bool)
     raw, lines = raw[filled], lines[filled]
     present = [*required, *(name for name in optional if name in raw.columns)]
+    told = [*texts, *(name for name in optional_texts if name in raw.columns)]
     table = Table(
         path,
         {name: _numbers(raw[name].to_numpy(dtype=object), path, name, lines) for name in present},
-        {name: raw[name].to_numpy(dtype=object) for name in texts},
+        {name: raw[name].to_numpy(dtype=object) for name in told},
         lines,
         {},
     )

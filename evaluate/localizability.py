@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from polemap.detect.config import DetectionConfig
 from polemap.detect.constants import ACROSS_SD_M, AXIS_SD_SHARE, COLUMN_SD_PX, DISPARITY_SD_PX
 from polemap.detect.visibility import camera_sector
-from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_view
 from polemap.drivelog.drive import Drive
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import inverse_transform_points, rotate_covariance
@@ -81,7 +81,7 @@ def camera_sensor(
 
 def scans_sensor(scans: tuple[Detections, ...], p_detection: float) -> SensorModel | None:
     """What a detector states of its detections, as a model; None without view or detections."""
-    view = next((scan.view for scan in scans if scan.view is not None), None)
+    view = pole_view(scans)
     if view is None or not any(len(scan) for scan in scans):
         return None
     points = np.concatenate([scan.points_vehicle_m for scan in scans])

@@ -16,6 +16,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
+from polemap.drivelog.landmark_kind import kind_counts
 from polemap.drivelog.readers.bags.describe import describe_topics, write_mapping
 from polemap.drivelog.readers.bags.files import is_log
 from polemap.drivelog.readers.bags.reader import survey
@@ -150,16 +151,31 @@ def describe_drive(drive: Drive) -> list[str]:
     if drive.reference is not None and len(drive.reference):
         lines += _reference(drive)
     if drive.scans:
-        stamps = np.array([scan.stamp_s for scan in drive.scans])
-        arrivals = np.array([scan.arrival_s for scan in drive.scans])
-        poles = sum(len(scan) for scan in drive.scans)
-        lines.append(_stream("pole scans", stamps, arrivals, f"{poles} poles"))
+        lines += _scans(drive)
     lines += [
         f"lap        {lap.name}: {lap.start_s:.2f} to {lap.end_s:.2f} s" for lap in drive.laps
     ]
     lines += [f"note       {note}" for note in drive.notes]
     lines += [f"left out   {n} x {kind.replace('_', ' ')}" for kind, n in drive.problems.items()]
     return lines
+
+
+def _scans(drive: Drive) -> list[str]:
+    """Looks of the detectors of points and of lines, and what they saw, by kind."""
+    told = []
+    looked = [scan for scan in drive.scans if scan.view is None or not scan.view.sees_nothing]
+    of_lines = [scan for scan in drive.scans if scan.lines is not None]
+    kinds = [
+        ("pole scans", looked, [scan.kind for scan in looked]),
+        ("line scans", of_lines, [scan.lines.kind for scan in of_lines if scan.lines is not None]),
+    ]
+    for name, scans, seen in kinds:
+        if scans:
+            stamps = np.array([scan.stamp_s for scan in scans])
+            arrivals = np.array([scan.arrival_s for scan in scans])
+            what = kind_counts(np.concatenate(seen)) or "0 poles"
+            told.append(_stream(name, stamps, arrivals, what))
+    return told
 
 
 def _car(drive: Drive) -> str:

@@ -15,6 +15,7 @@ from polemap.drivelog.plausibility import (
     breaks,
     detector_place,
     fix_delay,
+    lines,
     motion,
     places,
     poles,
@@ -61,6 +62,7 @@ def check_drive(drive: Drive) -> list[Finding]:
     found += steering.wheelbase_findings(drive)
     found += absolute.camera_findings(drive)
     found += absolute.gnss_findings(drive) + absolute.pole_findings(drive)
+    found += lines.line_findings(drive)
     of_places = places.zone_findings(drive) + places.distance_findings(drive)
     found += of_places or breaks.drift_findings(drive)
     found += _motion(drive)

@@ -71,6 +71,26 @@ FILES: Mapping[str, FileColumns] = {
         {
             "width_m": "diameter",
             "probability": "that it is a pole",
+            "kind": "pole, or corner of a house, a wall, a gate; a pole where empty",
+            "facing_rad": "of a corner: into its free side, counter-clockwise from forward",
+            **_ARRIVAL,
+        },
+    ),
+    "lines": FileColumns(
+        "straight pieces of lines that a detector saw, several rows a stamp",
+        {
+            "stamp_s": "when the detector looked",
+            "kind": "lane_marking, kerb or facade",
+            "x0_m": "one end, ahead of the rear axle",
+            "y0_m": "to the left",
+            "x1_m": "the other end",
+            "y1_m": "to the left",
+            "offset_sd_m": "standard deviation of its middle across it, shared errors included",
+            "direction_sd_rad": "standard deviation of its direction",
+        },
+        {
+            "style": "unknown, solid, dashed or double",
+            "probability": "that it is a line of its kind",
             **_ARRIVAL,
         },
     ),

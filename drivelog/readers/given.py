@@ -16,6 +16,8 @@ _LOST_MAX = 0.01
 _APART = ("duplicate_stamps", "stamp_far_from_rest", "at_zero", "old_fix_repeated")
 _REMEDIES = {
     "same_pole_twice_in_a_scan": "write each pole of a scan once",
+    "sd_not_positive": "write standard deviations above 0",
+    "ends_in_one_point": "write both ends of a piece, in metres",
     "latitude_beyond_utm": "leave the rows out in which the receiver had no fix",
 }
 # of latitude and longitude zero from the other fixes, in degrees as in metres

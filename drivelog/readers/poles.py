@@ -1,8 +1,9 @@
-"""poles.csv and scans.csv: poles that were detected elsewhere, and when the detector looked."""
+"""poles.csv and scans.csv: points that were detected elsewhere, and when the detector looked."""
 
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
@@ -12,14 +13,18 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
+from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind
 from polemap.drivelog.readers.drive_yaml_parts import DetectorPart
 from polemap.drivelog.readers.given import is_given, row_findings
+from polemap.drivelog.readers.lines import add_lines, kind_names, named_values
 from polemap.drivelog.stamps import in_order
 from polemap.drivelog.tables import Table, read_table
+from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
 
 _COLUMNS = ("stamp_s", "x_m", "y_m", "var_x_m2", "var_y_m2", "cov_xy_m2")
+_OPTIONAL = ("width_m", "arrival_s", "probability", "facing_rad")
 MOST_A_SCAN = 300
 _FEW = 200  # fewer poles than this do not show the outline of a sensor's view
 
@@ -30,7 +35,7 @@ def read_scans(
     problems: Counter[str],
     findings: list[Finding],
 ) -> tuple[tuple[Detections, ...], str | None]:
-    """All scans of a folder, and a note where their view had to be estimated.
+    """All scans of a folder, lines included, and a note where their view had to be estimated.
 
     Rows with numbers that are not finite or a covariance that is not positive are left out and
     counted.
@@ -41,7 +46,7 @@ def read_scans(
     poles_path, scans_path = folder / "poles.csv", folder / "scans.csv"
     has_poles, has_scans = is_given(poles_path), is_given(scans_path)
     if not has_poles and not has_scans:
-        return (), None
+        return add_lines(folder, (), problems, findings), None
     scan_stamps = np.empty(0)
     if has_scans:
         table = in_order(read_table(scans_path, ("stamp_s",)), findings, duplicates="drop")
@@ -55,7 +60,7 @@ def read_scans(
         if unlisted:
             problems["poles_stamp_not_in_scans"] += unlisted
     view, note = _view(detector, poles)
-    return _scans(stamps, poles, view), note
+    return add_lines(folder, _scans(stamps, poles, view), problems, findings), note
 
 
 def _count(table: Table, problems: Counter[str]) -> None:
@@ -64,7 +69,7 @@ def _count(table: Table, problems: Counter[str]) -> None:
 
 
 def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> Table:
-    table = read_table(path, _COLUMNS, optional=("width_m", "arrival_s", "probability"))
+    table = read_table(path, _COLUMNS, optional=_OPTIONAL, optional_texts=("kind",))
     table = in_order(table, findings, duplicates="allow")
     _check_crowd(table)
     var_x, var_y = table["var_x_m2"], table["var_y_m2"]
@@ -74,8 +79,26 @@ def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> 
     table = table.keep(positive, "covariance_not_positive")
     table = table.keep(_first_of_each(table), "same_pole_twice_in_a_scan")
     findings += row_findings(table)
+    _check_facing(table)
     _count(table, problems)
     return table
+
+
+def _check_facing(table: Table) -> None:
+    """Free sides are radians: more than a turn is degrees.
+
+    Raises:
+        InputError: the first that is.
+    """
+    if "facing_rad" not in table:
+        return
+    beyond = np.flatnonzero(np.abs(table["facing_rad"]) > 2.0 * pi + 0.01)
+    if len(beyond):
+        row = int(beyond[0])
+        raise InputError(
+            f"{table.path}, line {table.lines[row]}: facing_rad is {table['facing_rad'][row]:g}, "
+            "more than a turn; write radians, counter-clockwise from forward"
+        )
 
 
 def _first_of_each(table: Table) -> NDArray[np.bool_]:
@@ -128,24 +151,34 @@ def _scans(
     probability = poles["probability"] if "probability" in poles else np.ones(n)
     arrival = poles["arrival_s"] if "arrival_s" in poles else poles["stamp_s"]
     arrival = np.where(arrival >= poles["stamp_s"], arrival, poles["stamp_s"])
+    kind, facing = _kinds(poles)
     first = np.searchsorted(poles["stamp_s"], stamps, side="left")
     last = np.searchsorted(poles["stamp_s"], stamps, side="right")
     scans = []
     for stamp, a, b in zip(stamps, first, last, strict=True):
         rows = slice(int(a), int(b))
         seen = float(arrival[rows].max()) if b > a else float(stamp)
-        scans.append(
-            pole_detections(
-                float(stamp),
-                seen,
-                points[rows],
-                covariance[rows],
-                width_m=width[rows],
-                probability=probability[rows],
-                view=view,
-            )
+        scan = pole_detections(
+            float(stamp),
+            seen,
+            points[rows],
+            covariance[rows],
+            width_m=width[rows],
+            probability=probability[rows],
+            view=view,
         )
+        scans.append(replace(scan, kind=kind[rows], facing_rad=facing[rows]))
     return tuple(scans)
+
+
+def _kinds(poles: Table) -> tuple[NDArray[np.int8], Floats]:
+    """Kind and free side `(n,)` of every row."""
+    n = len(poles)
+    kind = np.full(n, LandmarkKind.POLE, dtype=np.int8)
+    if "kind" in poles.texts:
+        kind = named_values(poles, "kind", kind_names(POINT_KINDS), empty=LandmarkKind.POLE)
+    facing = poles["facing_rad"] if "facing_rad" in poles else np.full(n, np.nan)
+    return kind, np.where(kind == LandmarkKind.CORNER, wrap_angle(facing), np.nan)
 
 
 def _view(

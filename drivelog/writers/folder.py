@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,13 @@ import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_folder
-from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_view
 from polemap.drivelog.drive import Drive, Lap
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
 from polemap.drivelog.samples import Image
 from polemap.drivelog.streams import GnssStream, OdometryStream, ReferenceStream
+from polemap.drivelog.writers.scan_tables import Columns, lines_text, point_columns, write_columns
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.io import dump_car
 from polemap.vehicle.parameters import Car
@@ -109,25 +110,13 @@ class FolderWriter:
         )
 
     def scans(self, scans: Sequence[Detections]) -> None:
-        """Write poles.csv and scans.csv."""
-        counts = [len(scan) for scan in scans]
-        points = _join([scan.points_vehicle_m for scan in scans], (0, 2))
-        covariance = _join([scan.covariance_m2 for scan in scans], (0, 2, 2))
-        self._table("scans", {"stamp_s": (np.array([scan.stamp_s for scan in scans]), "%.6f")})
-        self._table(
-            "poles",
-            {
-                "stamp_s": (np.repeat([scan.stamp_s for scan in scans], counts), "%.6f"),
-                "x_m": (points[:, 0], "%.5f"),
-                "y_m": (points[:, 1], "%.5f"),
-                "var_x_m2": (covariance[:, 0, 0], "%.9g"),
-                "var_y_m2": (covariance[:, 1, 1], "%.9g"),
-                "cov_xy_m2": (covariance[:, 0, 1], "%.9g"),
-                "width_m": (_join([scan.width_m for scan in scans], (0,)), "%.4f"),
-                "arrival_s": (np.repeat([scan.arrival_s for scan in scans], counts), "%.6f"),
-                "probability": (_join([scan.probability for scan in scans], (0,)), "%.4f"),
-            },
-        )
+        """Write poles.csv and scans.csv, and lines.csv where a detector looked for lines."""
+        looked = [scan for scan in scans if scan.view is None or not scan.view.sees_nothing]
+        if looked:
+            self._table("scans", {"stamp_s": (np.array([s.stamp_s for s in looked]), "%.6f")})
+            self._table("poles", point_columns(looked))
+        if any(scan.lines is not None for scan in scans):
+            (self._folder / "lines.csv").write_text(lines_text(scans), encoding="utf-8")
 
     def laps(self, laps: Iterable[Lap]) -> None:
         """Write laps.csv."""
@@ -140,22 +129,8 @@ class FolderWriter:
             text = "\n".join(["stamp_s,left,right,arrival_s", *lines]) + "\n"
             (self._folder / "frames.csv").write_text(text, encoding="utf-8")
 
-    def _table(self, name: str, columns: Mapping[str, tuple[Floats, str]]) -> None:
-        header = ",".join(columns)
-        data = np.column_stack([values for values, _ in columns.values()])
-        formats = [fmt for _, fmt in columns.values()]
-        np.savetxt(
-            self._folder / f"{name}.csv",
-            data,
-            fmt=formats,
-            delimiter=",",
-            header=header,
-            comments="",
-        )
-
-
-def _join(parts: list[Floats], empty_shape: tuple[int, ...]) -> Floats:
-    return np.concatenate(parts) if parts else np.empty(empty_shape)
+    def _table(self, name: str, columns: Columns) -> None:
+        write_columns(self._folder / f"{name}.csv", columns)
 
 
 def laps_text(laps: Iterable[Lap]) -> str:
@@ -273,7 +248,7 @@ def write_drive(drive: Drive, path: Path, advance: Callable[[int], None] | None 
         car=drive.car,
         rig=drive.rig,
         gnss_antenna_m=drive.gnss_antenna_m,
-        pole_view=drive.scans[0].view if drive.scans else None,
+        pole_view=pole_view(drive.scans),
         notes=drive.notes,
     ) as writer:
         if drive.has_frames:

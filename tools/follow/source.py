@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from polemap.drivelog.detections import Detections, VisibleRegion
+from polemap.drivelog.detections import Detections, VisibleRegion, pole_view
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.images import RectifiedPairs
@@ -165,7 +165,7 @@ def _check(mapping: Mapping, name: str) -> None:
 def _car(path: Path) -> tuple[Drive, VisibleRegion | None]:
     """A drive that stands for its car, without its samples, and what its pole detector sees."""
     drive = open_drive(path)
-    view = drive.scans[0].view if drive.scans else None
+    view = pole_view(drive.scans)
     head = path / HEAD if path.is_dir() else None
     if view is None and head is not None and head.is_file():
         detector = read_drive_yaml(head).pole_detector

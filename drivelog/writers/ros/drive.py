@@ -28,7 +28,7 @@ import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
-from polemap.drivelog.detections import Detections
+from polemap.drivelog.detections import Detections, pole_view
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import geographic_from_grid
@@ -90,7 +90,7 @@ def description(drive: Drive) -> dict[str, bytes]:
         car_file=CAR_FILE if drive.car is not None else None,
         rig=drive.rig,
         gnss_antenna_m=drive.gnss_antenna_m,
-        pole_view=drive.scans[0].view if drive.scans else None,
+        pole_view=pole_view(drive.scans),
         notes=drive.notes,
     )
     texts = {"drive.yaml": yaml.safe_dump(head, sort_keys=False, allow_unicode=True)}
