@@ -13,7 +13,8 @@ setup: .venv/.ready
 .venv/.ready: pyproject.toml setup.py requirements.lock $(NATIVE)
 	$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("polemap needs Python 3.11 or newer, this is " + sys.version.split()[0] + ": set PYTHON=python3.11")'
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements.lock
+	@# bytecode is made on first use: of most of these packages only a part is ever imported
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps --no-compile -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
 	touch $@
 
