@@ -106,7 +106,7 @@ class PolePerception:
     def perceive(
         self, frame: StereoFrame, disparity: DisparityPair | None = None
     ) -> PerceivedFrame:
-        """The poles of a stereo frame with all that led to them.
+        """The poles of a stereo frame with all that led to them, and its lines.
 
         Args:
             frame: the pictures; a `MatchedFrame` brings its disparity.
@@ -123,9 +123,12 @@ class PolePerception:
         self._classifier = self._classifier or read_classifier(self._config.detection.model)
         view = detect(frame, disparity, self._rig, self._classifier, self._config.detection)
         corrected, scan = self._track_stereo(view.detections)
-        return PerceivedFrame(
-            frame, disparity, replace(view, detections=corrected), self._tracks(), scan
-        )
+        lines = view.lines
+        if lines is not None and self._offset is not None:
+            lines = self._offset.corrected_lines(lines)
+            scan = replace(scan, lines=lines)
+        seen = replace(view, detections=corrected, lines=lines)
+        return PerceivedFrame(frame, disparity, seen, self._tracks(), scan)
 
     def track_scan(self, scan: Detections, *, raw_stereo: bool = False) -> Detections:
         """Track poles that were detected elsewhere; they come back with ids and existence.

@@ -17,11 +17,14 @@ from polemap.detect.models.io import read_classifier
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.landmark_kind import LINE_KINDS
 from polemap.evaluation.detections import FrameRecord, Score, record, score_frames, score_tracks
 from polemap.map.io import read_map
 from polemap.map.pole_map import PoleMap
 from polemap.perception import PerceivedFrame, PolePerception, perceive_drive
 from polemap.settings import Settings, load_settings
+from polemap.tools.detect_lines import COLUMNS as LINE_COLUMNS
+from polemap.tools.detect_lines import CountedLines, line_rows
 from polemap.tools.detect_pictures import write_overlay
 from polemap.tools.drive_detection import Source
 from polemap.tools.findings import require_plausible
@@ -73,9 +76,11 @@ def command(
       polemap detect drive --out found --frames 0:50 --pictures
       polemap detect kitti/sequences/03 --out found --evaluate kitti/poles/03.csv
       polemap detect drive --out found --set polemap.detection.probability_min=0.7
+      polemap detect drive --out found --set polemap.detection.kinds=[pole,lane_marking,kerb]
 
     detections.csv has a row for every hypothesis with its probability; `track` is -1 where it
-    belongs to none. Pictures show depth edges, hypotheses (green: a pole), track ids and the
+    belongs to none. lines.csv, where detection.kinds names lane_marking or kerb, has a row for
+    every piece of a line. Pictures show depth edges, hypotheses (green: a pole), track ids and the
     disparity, and from above the view, the uncertainties and the map.
     """
     check_folder(out, KIND, (drive, evaluate, unmapped, config, topics))
@@ -114,11 +119,14 @@ class _Counted:
     poles: int = 0
     tracks: set[int] = field(default_factory=set)
     distances_m: list[float] = field(default_factory=list)
+    lines_of: CountedLines | None = None
 
     def add(self, perceived: PerceivedFrame, probability_min: float) -> None:
         found = perceived.view.detections
         sure = found.probability >= probability_min
         self.frames += 1
+        if self.lines_of is not None:
+            self.lines_of.add(perceived)
         self.hypotheses += len(found)
         self.poles += int(np.count_nonzero(sure))
         self.tracks |= set(perceived.tracks.ids[perceived.tracks.confirmed].tolist())
@@ -126,6 +134,8 @@ class _Counted:
 
     def lines(self, drive: Path, out: Path, pictures: bool) -> list[str]:
         """A summary, and what to do next."""
+        told = [] if self.lines_of is None else [self.lines_of.told()]
+        also = "" if self.lines_of is None else " and lines.csv"
         middle_m = np.median(self.distances_m) if self.poles else 0.0
         where = f", half of them nearer than {middle_m:.0f} m" if self.poles else ""
         frames = f"{self.frames} frame" + ("s" if self.frames != 1 else "")
@@ -133,7 +143,8 @@ class _Counted:
             f"{frames}: {self.hypotheses} hypotheses, {self.poles} called poles "
             f"({self.poles / max(self.frames, 1):.1f} a frame{where}); "
             f"{len(self.tracks)} confirmed tracks",
-            f"wrote {out / 'detections.csv'}"
+            *told,
+            f"wrote {out / 'detections.csv'}{also}"
             + (f" and {frames} as pictures" if pictures else "; --pictures shows what was seen"),
             f"next: polemap map {drive} --out poles.gpkg",
         ]
@@ -157,6 +168,9 @@ def _detect_frames(
     if rig is None:
         return records, counted
     perception = PolePerception(rig, settings.polemap, stereo=settings.stereo)
+    with_lines = bool(settings.polemap.detection.landmark_kinds & LINE_KINDS)
+    counted.lines_of = CountedLines() if with_lines else None
+    rows_of_lines: list[list[Any]] = []
     with (
         (folder / "detections.csv").open("w", newline="", encoding="utf-8") as file,
         progress(len(wanted), f"poles of {drive.name}") as advance,
@@ -166,6 +180,7 @@ def _detect_frames(
         for perceived in perceive_drive(part, perception):
             frame = perceived.frame
             table.writerows(_rows(perceived))
+            rows_of_lines += line_rows(perceived)
             counted.add(perceived, settings.polemap.detection.probability_min)
             pose = drive.reference.at(np.array([frame.stamp_s]))[0] if drive.reference else None
             placed = pose is not None and bool(np.isfinite(pose).all())
@@ -177,8 +192,11 @@ def _detect_frames(
             if pictures:
                 name = folder / f"{frame.index:06d}.png"
                 sure = settings.polemap.detection.probability_min
-                write_overlay(name, perceived, sure, mapped)
+                write_overlay(name, perceived, sure, mapped, rig if with_lines else None)
             advance(1)
+    if with_lines:
+        with (folder / "lines.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows([LINE_COLUMNS, *rows_of_lines])
     return records, counted
 
 

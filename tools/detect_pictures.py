@@ -9,8 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.drivelog.line_detections import LineDetections
 from polemap.drivelog.samples import Image
 from polemap.perception import PerceivedFrame
+from polemap.stereo.rig import StereoRig
+from polemap.tools.detect_lines import COLOURS, draw_lines
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -26,25 +30,32 @@ def write_overlay(
     perceived: PerceivedFrame,
     probability_min: float,
     mapped_vehicle_m: Floats | None = None,
+    rig: StereoRig | None = None,
 ) -> None:
     """`overlay` as a file."""
-    cv2.imwrite(str(path), overlay(perceived, probability_min, mapped_vehicle_m))
+    cv2.imwrite(str(path), overlay(perceived, probability_min, mapped_vehicle_m, rig))
 
 
 def overlay(
-    perceived: PerceivedFrame, probability_min: float, mapped_vehicle_m: Floats | None = None
+    perceived: PerceivedFrame,
+    probability_min: float,
+    mapped_vehicle_m: Floats | None = None,
+    rig: StereoRig | None = None,
 ) -> Picture:
     """Image with edges, hypotheses, ids and ground; below it the disparity; beside it from above.
 
     Args:
         probability_min: hypotheses from it on are drawn as poles.
         mapped_vehicle_m: `(n, 2)`, the poles of a map in the vehicle frame.
+        rig: the camera, with which lines are drawn, too.
 
     Returns:
         `(height, width, 3)`, blue first, as OpenCV has it.
     """
     picture = _draw_edges(_grey(perceived.frame.left), perceived)
     picture = _draw_hypotheses(picture, perceived, probability_min)
+    if rig is not None:
+        picture = draw_lines(picture, perceived, rig)
     depth = _colours(perceived.disparity.left)
     stacked = np.vstack([picture, depth])
     above = _from_above(perceived, probability_min, mapped_vehicle_m)
@@ -137,6 +148,12 @@ def _from_above(
     if mapped_vehicle_m is not None:
         for point in mapped_vehicle_m:
             cv2.circle(picture, pixel(point), 6, _MAP, 1, cv2.LINE_AA)
+    lines = perceived.view.lines
+    lines = LineDetections.none() if lines is None else lines
+    for row in range(len(lines)):
+        colour = COLOURS[LandmarkKind(lines.kind[row])]
+        cv2.line(picture, pixel(lines.start_vehicle_m[row]), pixel(lines.end_vehicle_m[row]),
+                 colour, 1, cv2.LINE_AA)  # fmt: skip
     found = perceived.view.detections
     for row in range(len(found)):
         sure = found.probability[row] >= probability_min

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from polemap.drivelog.landmark_kind import LandmarkKind
+
+KindName = Literal["pole", "lane_marking", "kerb"]
 
 
 class DetectionConfig(BaseModel):
@@ -13,6 +19,10 @@ class DetectionConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    kinds: tuple[KindName, ...] = Field(
+        ("pole",),
+        description="What is looked for; `pole` always, as poles tell the camera's error.",
+    )
     model: str = Field("default", description="Built-in classifier name, or a path to its JSON.")
     row_step_px: int = Field(
         3, ge=1, le=8, description="Every n-th image row is searched for depth edges."
@@ -27,3 +37,14 @@ class DetectionConfig(BaseModel):
     probability_min: float = Field(
         0.5, ge=0.0, le=1.0, description="From here on a hypothesis is called a pole."
     )
+
+    @model_validator(mode="after")
+    def _poles_among_kinds(self) -> Self:
+        if "pole" not in self.kinds or len(set(self.kinds)) < len(self.kinds):
+            raise ValueError(f"kinds {list(self.kinds)}: each once, and pole among them")
+        return self
+
+    @property
+    def landmark_kinds(self) -> frozenset[LandmarkKind]:
+        """The `kinds` as such."""
+        return frozenset(LandmarkKind[name.upper()] for name in self.kinds)

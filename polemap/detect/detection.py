@@ -25,11 +25,13 @@ from polemap.detect.constants import (
 from polemap.detect.features import Profiles, measure_features
 from polemap.detect.ground import Ground, fit_ground
 from polemap.detect.hypotheses import Hypotheses, find_hypotheses
+from polemap.detect.lines.find import find_lines
 from polemap.detect.refine import refine_disparity
 from polemap.detect.slices import find_slices
 from polemap.detect.visibility import visible_region
 from polemap.drivelog.detections import Detections, VisibleRegion
-from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.drivelog.landmark_kind import LINE_KINDS, LandmarkKind
+from polemap.drivelog.line_detections import LineDetections
 from polemap.drivelog.samples import StereoFrame
 from polemap.stereo.depth_edges import DepthEdges, depth_edges, upright_maps
 from polemap.stereo.matching import DisparityPair
@@ -65,12 +67,17 @@ class StereoDetections(Detections):
 
 @dataclass(frozen=True, slots=True)
 class FrameView:
-    """All that one frame showed; `edges` are left and right flanks."""
+    """All that one frame showed.
+
+    `edges` are left and right flanks; `lines` is None where none were looked for or no road was
+    seen.
+    """
 
     detections: StereoDetections
     ground: Ground
     edges: tuple[DepthEdges, DepthEdges]
     region: VisibleRegion
+    lines: LineDetections | None = None
 
 
 def detect(
@@ -80,7 +87,7 @@ def detect(
     classifier: PoleClassifier | None,
     config: DetectionConfig,
 ) -> FrameView:
-    """Find the poles of one frame.
+    """Find the poles of one frame, and the lines if the settings name them.
 
     Args:
         frame: the rectified pair.
@@ -105,7 +112,9 @@ def detect(
     distance = np.hypot(*(found.points_vehicle_m - view.origin_vehicle_m).T)
     found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
     found = _suppress(found) if classifier is not None else found
-    return FrameView(found, ground, edges, view)
+    kinds = config.landmark_kinds & LINE_KINDS
+    lines = find_lines(frame.left, maps, ground, rig, kinds) if kinds else None
+    return FrameView(found, ground, edges, view, lines)
 
 
 def _fit_disparity(

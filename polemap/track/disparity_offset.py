@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.line_detections import LineDetections
 from polemap.stereo.rig import StereoRig
 from polemap.track.config import TrackingConfig
 from polemap.track.constants import ERROR_TIME_S
@@ -101,6 +102,22 @@ class DisparityOffset:
         """How points `(n, 2)` move if the disparities are one pixel more: nearer along the ray."""
         ray = points_vehicle_m - self._origin_m
         return np.asarray(-ray * (ray @ self._ahead)[:, np.newaxis] / self._focal_baseline)
+
+    def corrected_lines(self, lines: LineDetections) -> LineDetections:
+        """Lines from the camera's own disparities, moved and turned by the present value.
+
+        What is not known of it yet is added to their deviations: it shifts a line across by its
+        share of the distance from the camera's foot, far ends more than near ones.
+        """
+        ends = [self.corrected(end) for end in (lines.start_vehicle_m, lines.end_vehicle_m)]
+        moved = lines.with_columns(start_vehicle_m=ends[0], end_vehicle_m=ends[1])
+        across = rotate(np.array([0.0, 1.0]), moved.direction_rad)
+        shift = [np.sum(self.shift_per_px(end) * across, axis=1) * self.sd_px for end in ends]
+        turn = (shift[1] - shift[0]) / moved.length_m
+        return moved.with_columns(
+            offset_sd_m=np.hypot(lines.offset_sd_m, 0.5 * (shift[0] + shift[1])),
+            direction_sd_rad=np.hypot(lines.direction_sd_rad, turn),
+        )
 
     def learn_from_tracks(self, detections: Detections, tracks: Tracks, elapsed_s: float) -> None:
         """Add the detections that tracks took; tracks that ended count for good.

@@ -16,6 +16,7 @@ from polemap.drivelog.detections import Detections, pole_detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import OdometrySample, StereoFrame
 from polemap.evaluation.detections import evidence, match, record, score_frames, score_tracks
@@ -26,6 +27,8 @@ from polemap.stereo.config import StereoConfig
 from polemap.stereo.matching import DisparityPair, make_matcher
 from polemap.track.config import TrackingConfig
 from polemap.training import TrainingConfig, collect
+from tests.polemap.detect.lines.scenes import RIG as LINE_RIG
+from tests.polemap.detect.lines.scenes import Scene
 from tests.polemap.street import RIG, Thing, street
 
 STEREO = StereoConfig(disparities=96)
@@ -157,3 +160,22 @@ def test_real_street_against_its_lidar_map(recording: Callable[[str], Path]) -> 
     tracks = score_tracks(records, known, (5.0, 20.0))
     assert tracks.found >= 2
     assert tracks.right >= 2
+
+
+def test_lines_pass_with_the_scan() -> None:
+    image, maps = Scene(light=lambda x, y: np.where(np.abs(y - 1.7) < 0.06, 170.0, 90.0)).take()
+    # the maps of every third row, as a matcher would give all of them
+    left = np.repeat(maps.left, 3, axis=0)[: LINE_RIG.height_px]
+    disparity = DisparityPair(np.where(left > 0, left, np.nan), np.where(left > 0, left, np.nan))
+    frame = StereoFrame(0.0, 0.0, 0, image, image)
+    kinds = DetectionConfig(kinds=("pole", "lane_marking"))
+    plain, more = (
+        PolePerception(LINE_RIG, PolemapConfig(detection=detection)).perceive(frame, disparity)
+        for detection in (DetectionConfig(), kinds)
+    )
+    assert plain.scan.lines is None
+    lines = more.scan.lines
+    assert lines is not None
+    assert (lines.kind == LandmarkKind.LANE_MARKING).all()
+    assert len(lines) > 0
+    assert more.view.lines is lines

@@ -79,6 +79,24 @@ def test_table_pictures_and_scores(
     assert "next: polemap map" in said
 
 
+def test_lines_are_written_where_they_are_asked_for(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain, more = tmp_path / "plain", tmp_path / "more"
+    frames = ["--frames", "0:2", "--force"]
+    kinds = ["--set", "polemap.detection.kinds=[pole,lane_marking,kerb]", "--pictures"]
+    assert run(["detect", str(drive), "--out", str(plain), *frames]) == 0
+    assert run(["detect", str(drive), "--out", str(more), *frames, *kinds]) == 0
+    assert "pieces of lines:" in capsys.readouterr().out
+    # poles do not know of lines
+    assert (plain / "detections.csv").read_bytes() == (more / "detections.csv").read_bytes()
+    assert not (plain / "lines.csv").exists()
+    with (more / "lines.csv").open() as file:
+        head, *rows = csv.reader(file)
+    assert head[:6] == ["frame", "stamp_s", "kind", "style", "x0_m", "y0_m"]
+    assert all(len(row) == len(head) for row in rows)
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -87,6 +105,8 @@ def test_table_pictures_and_scores(
         (["--frames", "9:12"], "the drive has 5 frames"),
         (["--set", "polemap.detection.model=nothing"], "no such classifier"),
         (["--set", "polemap.detection.colour=3"], "unknown key"),
+        (["--set", "polemap.detection.kinds=[kerb]"], "pole among them"),
+        (["--set", "polemap.detection.kinds=[pole,river]"], "lane_marking"),
     ],
 )
 def test_wrong_requests_leave_one_line_and_no_folder(

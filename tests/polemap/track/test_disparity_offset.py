@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.detections import pole_detections
+from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.drivelog.line_detections import line_detections
 from polemap.stereo.rig import Mounting, StereoRig
 from polemap.track.config import TrackingConfig
 from polemap.track.disparity_offset import DisparityOffset
@@ -105,3 +107,21 @@ def test_points_move_by_what_a_pixel_more_does() -> None:
     offset.value_px = 1e-4
     moved = (offset.corrected(point) - point) / 1e-4
     np.testing.assert_allclose(offset.shift_per_px(point), moved, rtol=1e-4)
+
+
+def test_lines_move_as_their_points_and_know_less() -> None:
+    offset = DisparityOffset(RIG, TrackingConfig(disparity_offset_sd_px=0.3))
+    start, end = np.array([[8.0, 3.0]]), np.array([[14.0, 3.2]])
+    lines = line_detections(LandmarkKind.KERB, start, end, np.array([0.03]), np.array([0.004]))
+    offset.value_px = 0.2
+    moved = offset.corrected_lines(lines)
+    np.testing.assert_allclose(moved.start_vehicle_m, offset.corrected(start))
+    np.testing.assert_allclose(moved.end_vehicle_m, offset.corrected(end))
+    # what is left of the offset, by finite differences
+    offset.value_px = 0.2 + 1e-4
+    more = offset.corrected_lines(lines)
+    normal = np.array([-np.sin(moved.direction_rad[0]), np.cos(moved.direction_rad[0])])
+    shift = float((more.middle_vehicle_m - moved.middle_vehicle_m)[0] @ normal) / 1e-4 * 0.3
+    turn = float((more.direction_rad - moved.direction_rad)[0]) / 1e-4 * 0.3
+    np.testing.assert_allclose(moved.offset_sd_m, np.hypot(0.03, shift), rtol=0.02)
+    np.testing.assert_allclose(moved.direction_sd_rad, np.hypot(0.004, turn), rtol=0.02)

@@ -1,0 +1,1 @@
+"""Lines on the ground of one frame: lane markings and kerbs."""

@@ -1,0 +1,146 @@
+"""Kerbs of one frame: the height step of the ground, found row by row of the road grid.
+
+A kerb that faces the camera rises away from it by 0.05 to 0.25 m, with flat ground on both sides: a
+wall, a hedge or a car goes on rising, an embankment rises slowly, a shadow does not rise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.detect.lines.road_frame import STEP_ASIDE_M, RoadView, ahead_m, left_m
+from polemap.stereo.depth_edges import UprightMaps
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
+STEP_MIN_M, STEP_MAX_M = 0.05, 0.25
+_REACH = round(0.4 / STEP_ASIDE_M)  # columns from the step to the middle of its sides
+HEIGHT_SD_PX = 0.25  # of a side's mean height, as a disparity: the matcher's streaks along columns
+NOISE_SDS = 4.0
+_BOX = (7, 5)  # columns, rows over which a side is averaged
+_FINE_BOX = (3, 3)
+_LEAST_MATCHED = 0.6
+_FLAT_M, _FLAT_SHARE = 0.03, 0.35  # of the step; how much the sides themselves may rise
+UPRIGHT_AT_M = (0.35, 0.55)  # over the edge
+UPRIGHT_SHARE = 0.9  # of its disparity: nothing but what stands there has as much
+_BLUNT_M = 0.3  # between a quarter and three quarters of the step, beside what the face covers
+_LOW_M = 0.25  # the lower side is road: it lies near the plane
+
+
+@dataclass(frozen=True, slots=True)
+class KerbPoints:
+    """Points `(n, 2)` of upper edges, road frame, with the step's height `(n,)`.
+
+    `side` is +1 where the ground rises to the left, -1 to the right; `row` `(n,)` is the row of the
+    disparity map that showed it.
+    """
+
+    points_m: Floats
+    step_m: Floats
+    side: Floats
+    row: NDArray[np.int64]
+
+
+def kerb_points(view: RoadView, maps: UprightMaps) -> KerbPoints:
+    """Where rows of the grid step up, away from the camera."""
+    mean = _mean_height(view, _BOX)
+    n = mean.shape[1]
+    r = _REACH
+    middle = slice(2 * r, n - 2 * r)
+    rise = mean[:, 3 * r : n - r] - mean[:, r : n - 3 * r]
+    side = np.sign(left_m(np.arange(2 * r, n - 2 * r, dtype=np.float64))).astype(np.float32)
+    step = rise * side
+    # NaN where a side is not known: every comparison fails
+    noise = HEIGHT_SD_PX * view.frame.height_m / view.disparity_px
+    least = np.maximum(STEP_MIN_M, NOISE_SDS * noise)[:, np.newaxis]
+    peak = (step >= least) & (step <= STEP_MAX_M)
+    peak[:, 1:] &= step[:, 1:] >= step[:, :-1]
+    peak[:, :-1] &= step[:, :-1] > step[:, 1:]
+    row, column = np.nonzero(peak)
+    s, step = side[column], step[row, column]
+    column = column + middle.start
+    out = (s * r).astype(np.int64)
+    low, high = mean[row, column - out], mean[row, column + out]
+    beyond, before = mean[row, column + 2 * out], mean[row, column - 2 * out]
+    allowed = _FLAT_M + _FLAT_SHARE * step
+    good = (np.abs(beyond - high) < allowed) & (np.abs(low - before) < allowed)
+    good &= np.abs(low) < _LOW_M
+    row, column, s, step, level = (a[good] for a in (row, column, s, step, 0.5 * (low + high)))
+    return _locate(view, maps, row, column, s, step, level)
+
+
+def _mean_height(view: RoadView, box: tuple[int, int]) -> Floats32:
+    """Mean of the matched heights in a box about each cell; NaN where few are matched."""
+    share = cv2.blur(view.matched, box)
+    total = cv2.blur(view.height_m, box)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = total / share
+    mean[share < _LEAST_MATCHED] = np.nan
+    return np.asarray(mean)
+
+
+def _locate(
+    view: RoadView,
+    maps: UprightMaps,
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    side: Floats32,
+    step: Floats32,
+    level: Floats32,
+) -> KerbPoints:
+    """Where the profile passes half the step, at its own height.
+
+    The kerb's face is upright, so that each of its heights has the place of its upper edge.
+    """
+    fine = _mean_height(view, _FINE_BOX)
+    reach = np.arange(-_REACH, _REACH + 1)
+    at = column[:, np.newaxis] + (side[:, np.newaxis] * reach).astype(np.int64)
+    over = fine[row[:, np.newaxis], at] - level[:, np.newaxis]
+    rising = (over[:, :-1] < 0.0) & (over[:, 1:] >= 0.0)
+    away = np.where(rising, np.abs(reach[:-1] + 0.5), np.inf)
+    first = np.argmin(away, axis=1)
+    n = np.arange(len(row))
+    # the rise is abrupt: slopes and what the matcher bridges are not
+    quarter = 0.25 * step[:, np.newaxis]
+    steps = np.arange(over.shape[1])
+    low = np.where((over <= -quarter) & (steps <= first[:, np.newaxis]), steps, -_REACH).max(axis=1)
+    high = np.where((over >= quarter) & (steps > first[:, np.newaxis]), steps, 3 * _REACH).min(
+        axis=1
+    )
+    face = 0.5 * step / view.frame.height_m * np.abs(left_m(column.astype(np.float64)))
+    good = np.isfinite(away[n, first]) & ((high - low) * STEP_ASIDE_M - face < _BLUNT_M)
+    one, two = over[n, first], over[n, first + 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = -one / (two - one)
+    place = left_m(column + side * (reach[first] + part).astype(np.float64))
+    plane = np.column_stack([ahead_m(row.astype(np.float64)), place])[good]
+    row, side, step, level = row[good], side[good], step[good], level[good]
+    alone = ~_upright(view, maps, plane, 0.5 * step + level)
+    points = plane * (1.0 - level / view.frame.height_m)[:, np.newaxis]
+    return KerbPoints(
+        points[alone], step[alone].astype(np.float64), side[alone].astype(np.float64),
+        view.image_row[row[alone]] // maps.row_step_px,
+    )  # fmt: skip
+
+
+def _upright(
+    view: RoadView, maps: UprightMaps, plane_m: Floats, top_m: Floats32
+) -> NDArray[np.bool_]:
+    """Whether above an edge, seen at `plane_m` `(n, 2)`, something stands at its own depth.
+
+    Above the edge of a kerb the image shows the ground behind it, which is farther; above the foot
+    of a wall, a hedge or a car it shows that thing.
+    """
+    frame, rig = view.frame, view.frame.rig
+    x, y, w = frame.pixel_from_road @ np.column_stack([plane_m, np.ones(len(plane_m))]).T
+    column = np.clip(np.rint(x / w), 0, rig.width_px - 1).astype(np.int64)
+    disparity = rig.focal_px * rig.baseline_m / (w * (1.0 - top_m / frame.height_m))
+    above = np.multiply.outer(UPRIGHT_AT_M, disparity / rig.baseline_m)
+    row = np.rint((y / w - above) / maps.row_step_px).astype(np.int64)
+    there = maps.left[np.clip(row, 0, len(maps.left) - 1), column]
+    return np.asarray((there > UPRIGHT_SHARE * disparity).any(axis=0))

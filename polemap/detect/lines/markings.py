@@ -1,0 +1,130 @@
+"""Lane markings of one frame: bright stripes on the ground, found row by row of the road grid.
+
+A stripe answers by how much it is brighter than the brighter of its two sides, so a shadow's edge,
+a step that has one bright side, does not answer at all. Its flanks, where the brightness passes
+half its height, say how wide it is and where its middle lies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from polemap.detect.lines.road_frame import (
+    COLUMNS,
+    STEP_ASIDE_M,
+    RoadView,
+    ahead_m,
+    left_m,
+)
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
+WIDTH_MIN_M, WIDTH_MAX_M = 0.08, 0.5
+_SIDE_BOX = 7  # columns of each side
+_BOXES = (3, 7)  # columns: stripes of 0.1 to 0.2 m, and of 0.2 to 0.5 m
+_LEAST_LEVELS = 5.0  # of 255: less is the camera's noise
+_LEAST_SHARE = 0.1  # of the side's brightness: worn paint
+_SIDES_SHARE = 0.5  # of the contrast, by which the sides may differ
+_BESIDE = np.arange(1, 8)  # columns behind a flank that are its side
+_SCATTER_SHARE = 0.4  # of the contrast: leaves' shadows scatter more
+_REACH = 16  # columns of a profile to each side
+_GROUND_BOX = (9, 9)  # columns, rows
+_LEAST_MATCHED = 0.3
+_STEP_AT = 10  # columns
+_RISE_MAX_M = 0.045
+_GROUND_M = 0.25  # farther over or under the plane is no road
+
+
+@dataclass(frozen=True, slots=True)
+class MarkingPoints:
+    """Middles `(n, 2)` of stripes in the road frame, on the ground as it was measured there.
+
+    Attributes:
+        width_m: `(n,)`.
+        contrast: `(n,)` over the brighter side, in parts of it.
+        row: `(n,)` row of the image that showed it.
+    """
+
+    points_m: Floats
+    width_m: Floats
+    contrast: Floats
+    row: NDArray[np.int64]
+
+
+def marking_points(view: RoadView) -> MarkingPoints:
+    """Rows of the grid that a bright stripe crosses."""
+    light = view.light
+    sides = cv2.blur(light, (_SIDE_BOX, 1))
+    answer = np.zeros_like(light)
+    for box in _BOXES:
+        apart = (box + _SIDE_BOX) // 2 + 1
+        mean = sides if box == _SIDE_BOX else cv2.blur(light, (box, 1))
+        beside = np.maximum(sides[:, : -2 * apart], sides[:, 2 * apart :])
+        ridge = mean[:, apart:-apart] - beside
+        ridge[ridge < np.maximum(_LEAST_SHARE * beside, _LEAST_LEVELS)] = 0.0
+        np.maximum(answer[:, apart:-apart], ridge, out=answer[:, apart:-apart])
+    middle = answer[:, 1:-1]
+    peak = (middle > 0.0) & (middle >= answer[:, :-2]) & (middle > answer[:, 2:])
+    peak &= view.inside[:, 1:-1]
+    row, column = np.nonzero(peak)
+    column += 1
+    inner = (column >= _REACH) & (column < COLUMNS - _REACH)
+    row, column = row[inner], column[inner]
+    ground, known = _ground(view)
+    level = ground[row, column]
+    on_road = known[row, column] & (np.abs(level) < _GROUND_M)
+    # a bright kerbstone has a step beside it
+    rise = ground[row, column + _STEP_AT] - ground[row, column - _STEP_AT]
+    on_road &= np.abs(rise) < _RISE_MAX_M
+    return _measure(view, row[on_road], column[on_road], level[on_road])
+
+
+def _ground(view: RoadView) -> tuple[Floats32, NDArray[np.bool_]]:
+    """Height of the ground about each cell, and where it is known."""
+    share = cv2.blur(view.matched, _GROUND_BOX)
+    total = cv2.blur(view.height_m, _GROUND_BOX)
+    return np.asarray(total / np.maximum(share, 1e-3)), np.asarray(share >= _LEAST_MATCHED)
+
+
+def _measure(
+    view: RoadView, row: NDArray[np.int64], column: NDArray[np.int64], level: Floats32
+) -> MarkingPoints:
+    """Flanks of the stripes; those too thin, too wide or with unequal sides are left out."""
+    reach = np.arange(-_REACH, _REACH + 1)
+    profile = view.light[row[:, np.newaxis], column[:, np.newaxis] + reach]
+    top = profile[:, _REACH - 1 : _REACH + 2].max(axis=1)
+    halves, lights, scatters = [], [], []
+    for outward in (profile[:, _REACH::-1], profile[:, _REACH:]):
+        half = 0.5 * (top + outward[:, 1:9].min(axis=1))
+        first = np.argmax(outward < half[:, np.newaxis], axis=1)
+        n = np.arange(len(row))
+        inner, outer = outward[n, first - 1], outward[n, first]
+        part = (inner - half) / np.maximum(inner - outer, 1e-6)
+        halves.append(np.where(first > 0, first - 1 + part, np.inf))
+        # the side proper: from behind the flank on
+        beside = outward[n[:, np.newaxis], np.minimum(first[:, np.newaxis] + _BESIDE, _REACH)]
+        beside = np.sort(beside, axis=1)
+        # a double line has its twin in one side: the median does not see it
+        lights.append(beside[:, 3])
+        scatters.append(np.minimum(beside.std(axis=1), beside[:, 3] - beside[:, 0]))
+    right, left = halves
+    width = (right + left) * STEP_ASIDE_M
+    brighter = np.maximum(*lights)
+    contrast = top - brighter
+    good = (width >= WIDTH_MIN_M) & (width <= WIDTH_MAX_M)
+    good &= np.abs(lights[0] - lights[1]) <= _SIDES_SHARE * contrast
+    good &= np.maximum(*scatters) <= _SCATTER_SHARE * contrast
+    good &= contrast >= np.maximum(_LEAST_SHARE * brighter, _LEAST_LEVELS)
+    row, level, width = row[good], level[good], width[good]
+    place = left_m(column[good] + 0.5 * (left[good] - right[good]))
+    points = np.column_stack([ahead_m(row.astype(np.float64)), place])
+    points *= (1.0 - level / view.frame.height_m)[:, np.newaxis]
+    share = contrast[good] / np.maximum(brighter[good], 1.0)
+    return MarkingPoints(
+        points, width.astype(np.float64), share.astype(np.float64), view.image_row[row]
+    )
