@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from polemap.detect.config import DetectionConfig
 from polemap.detect.ground import Ground
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.map.pole_map import PoleMap
 from polemap.perception import PerceivedFrame
 from polemap.stereo.matching import DisparityPair
@@ -111,12 +112,13 @@ def record(
     share = evidence(points, perceived.disparity, perceived.view.ground, rig)
     found = perceived.view.detections
     sure = found.probability >= config.probability_min
+    scan = perceived.scan.of_kinds(LandmarkKind.POLE)
     return FrameRecord(
         np.asarray(pose, dtype=np.float64),
         near[share >= _EVIDENCE_SHARE],
         found.points_vehicle_m[sure],
-        perceived.scan.track_id,
-        perceived.scan.points_vehicle_m,
+        scan.track_id,
+        scan.points_vehicle_m,
         perceived.view.region.origin_vehicle_m,
     )
 

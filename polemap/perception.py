@@ -11,10 +11,11 @@ import numpy as np
 from polemap.config import PolemapConfig
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.detection import FrameView, detect
-from polemap.detect.models.io import read_classifier
+from polemap.detect.models.io import read_classifier, read_corner_classifier
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.merge import SampleRows, merge_streams
 from polemap.drivelog.odometry_window import OdometryWindow
 from polemap.drivelog.samples import OdometrySample, StereoFrame
@@ -67,6 +68,7 @@ class PolePerception:
             matcher,
             classifier,
         )
+        self._corners: PoleClassifier | None = None
         self._tracker = PoleTracker(config.tracking)
         self._offset = DisparityOffset(rig, config.tracking) if rig is not None else None
         self._odometry = OdometryWindow(KEEP_S)
@@ -120,14 +122,17 @@ class PolePerception:
             raise InputError("perception: a stereo frame came, but the drive has no camera")
         if disparity is None:
             disparity = frame.disparity if isinstance(frame, MatchedFrame) else self.match(frame)
-        self._classifier = self._classifier or read_classifier(self._config.detection.model)
-        view = detect(frame, disparity, self._rig, self._classifier, self._config.detection)
-        corrected, scan = self._track_stereo(view.detections)
+        config = self._config.detection
+        self._classifier = self._classifier or read_classifier(config.model)
+        if LandmarkKind.CORNER in config.landmark_kinds:
+            self._corners = self._corners or read_corner_classifier(config.corner_model)
+        view = detect(frame, disparity, self._rig, self._classifier, config, self._corners)
+        corrected, scan = self._track_stereo(view.landmarks)
         lines = view.lines
         if lines is not None and self._offset is not None:
             lines = self._offset.corrected_lines(lines)
             scan = replace(scan, lines=lines)
-        seen = replace(view, detections=corrected, lines=lines)
+        seen = replace(view.located(corrected), lines=lines)
         return PerceivedFrame(frame, disparity, seen, self._tracks(), scan)
 
     def track_scan(self, scan: Detections, *, raw_stereo: bool = False) -> Detections:

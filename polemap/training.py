@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.build.offset_from_map import offset_from_map
+from polemap.detect import corner_features
+from polemap.detect import features as pole_features
 from polemap.detect.classifier import PoleClassifier, fit_classifier
-from polemap.detect.config import DetectionConfig
+from polemap.detect.config import DetectionConfig, KindName
 from polemap.detect.detection import detect
-from polemap.detect.features import NAMES
 from polemap.drivelog.columns import Columns
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import FrameError, InputError
@@ -28,6 +29,11 @@ from polemap.track.disparity_offset import with_disparity
 from polemap.vehicle.pose import transform_points
 
 Floats = NDArray[np.float64]
+
+FEATURES: Mapping[KindName, tuple[str, ...]] = {
+    "pole": pole_features.NAMES,
+    "corner": corner_features.NAMES,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +47,7 @@ class TrainingConfig:
         range_max_m: what lies farther is not used: neither its place nor a map's is sure enough.
         inverse_penalty: of the logistic regression.
         every: only every n-th frame is used: neighbours are alike.
+        kind: of what is learned; where it is corners, poles stand for corners above.
     """
 
     pole_within_m: float = 0.55
@@ -49,6 +56,7 @@ class TrainingConfig:
     range_max_m: float = 25.0
     inverse_penalty: float = 0.07
     every: int = 1
+    kind: KindName = "pole"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,12 +143,14 @@ def collect(
         raise InputError(f"training: drive {drive.name} needs images and a reference")
     poses = drive.reference.at(drive.frame_stamps_s)
     observed = []
+    sought = detection.model_copy(update={"kinds": tuple({"pole": None, config.kind: None})})
     for row in range(0, len(poses), config.every):
         if not np.isfinite(poses[row]).all():
             continue
         frame = drive.read_frame(row)
         disparity = matcher.match(frame.left, frame.right)
-        found = detect(frame, disparity, drive.rig, None, detection).detections
+        shown = detect(frame, disparity, drive.rig, None, sought)
+        found = shown.detections if shown.corners is None else shown.corners
         part = row * parts // len(poses)
         observed.append(_Observed(poses[row], found.points_vehicle_m, found.features, part))
         if progress is not None:
@@ -158,7 +168,7 @@ def collect(
         poles.append(pole[use])
     names = tuple(f"{drive.name}[{part + 1}/{parts}]" for part in range(parts))
     return Samples(
-        np.concatenate(features) if features else np.empty((0, len(NAMES))),
+        np.concatenate(features) if features else np.empty((0, len(FEATURES[config.kind]))),
         np.concatenate(labels) if labels else np.empty(0, dtype=bool),
         np.concatenate(groups) if groups else np.empty(0, dtype=np.int64),
         np.concatenate(poles) if poles else np.empty(0, dtype=np.int64),
@@ -191,7 +201,7 @@ def train(samples: Samples, config: TrainingConfig, origin: Mapping[str, Any]) -
         samples.features,
         samples.is_pole,
         weight,
-        names=NAMES,
+        names=FEATURES[config.kind],
         inverse_penalty=config.inverse_penalty,
         origin=origin,
     )

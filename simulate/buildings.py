@@ -8,6 +8,7 @@ import numpy as np
 
 from polemap.simulate.materials import TILES
 from polemap.simulate.mesh import Mesh, box, cylinder, join, panel, quads, triangles
+from polemap.simulate.objects import Corner, box_corners
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +19,11 @@ class House:
     width_m: float
     depth_m: float
     height_m: float
+
+    @property
+    def corners(self) -> tuple[Corner, ...]:
+        """Its four, about the middle of the front."""
+        return box_corners(self.width_m, self.depth_m, self.height_m, y_m=-self.depth_m / 2)
 
 
 def house(rng: np.random.Generator, width_m: float, storeys: int) -> House:

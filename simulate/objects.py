@@ -17,6 +17,26 @@ from polemap.simulate.mesh import Mesh, box, cylinder, join, panel, quads
 
 
 @dataclass(frozen=True, slots=True)
+class Corner:
+    """A vertical edge; `facing_rad` points away from what it bounds, between its two sides."""
+
+    x_m: float
+    y_m: float
+    facing_rad: float
+    height_m: float
+
+
+def box_corners(
+    size_x_m: float, size_y_m: float, height_m: float, x_m: float = 0.0, y_m: float = 0.0
+) -> tuple[Corner, ...]:
+    """The four vertical edges of an upright box about (`x_m`, `y_m`)."""
+    return tuple(
+        Corner(x_m + i * size_x_m / 2, y_m + j * size_y_m / 2, float(np.arctan2(j, i)), height_m)
+        for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Standing:
     """An object of one kind: its mesh and, for a pole, diameter near the ground and height."""
 
@@ -24,6 +44,7 @@ class Standing:
     pole: bool
     width_m: float
     height_m: float
+    corners: tuple[Corner, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

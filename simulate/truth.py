@@ -21,7 +21,10 @@ from polemap.simulate.world import World
 from polemap.vehicle.pose import wrap_angle
 
 Floats = NDArray[np.float64]
-TRUTH_FILES = ("objects.geojson", "standing.csv", "truth.csv", "signals.csv", "lane_truth.csv")
+TRUTH_FILES = (
+    *("objects.geojson", "standing.csv", "corners.csv", "truth.csv", "signals.csv"),
+    "lane_truth.csv",
+)
 TRUTH_PICTURES = ("disparity_left", "disparity_right", "objects")
 # the truth has no spread; a map needs one that can be inverted
 _TRUTH_SD_M = 0.001
@@ -51,7 +54,7 @@ def true_map(world: World, frame: EarthFrame, origin_m: Floats) -> PoleMap:
 def write_truth(
     folder: Path, frame: EarthFrame, world: World, motion: Motion, origin_m: Floats
 ) -> None:
-    """Writes objects.geojson (poles, map format), standing.csv (all objects) and truth.csv."""
+    """Writes the poles as a map, tables of all objects and of all corners, and the motion."""
     write_map(true_map(world, frame, origin_m), folder / "objects.geojson")
     lines = ["id,kind,pole,east_m,north_m,width_m,height_m"]
     for o in world.objects:
@@ -60,6 +63,11 @@ def write_truth(
             f"{o.owner},{o.kind},{int(o.pole)},{east:.4f},{north:.4f},{o.width_m:.3f},{o.height_m:.3f}"
         )
     (folder / "standing.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = ["object,kind,east_m,north_m,facing_rad,height_m"]
+    for c in world.corners:
+        place = f"{c.x_m + origin_m[0]:.4f},{c.y_m + origin_m[1]:.4f}"
+        lines.append(f"{c.owner},{c.kind},{place},{c.facing_rad:.4f},{c.height_m:.3f}")
+    (folder / "corners.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     rows = slice(None, None, _EVERY)
     pose = motion.pose[rows].copy()
     pose[:, :2] += origin_m

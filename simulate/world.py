@@ -11,15 +11,17 @@ from polemap.drivelog.errors import ConfigError
 from polemap.simulate.buildings import backdrop, house
 from polemap.simulate.ground import kerb_m, make_ground, make_section, side_street
 from polemap.simulate.mesh import Mesh, join
-from polemap.simulate.objects import MAKERS, Maker, Wish
+from polemap.simulate.objects import MAKERS, Corner, Maker, Wish
 from polemap.simulate.route import CrossSection, Route, make_route
 from polemap.simulate.scenario import HousesSpec, RowSpec, Scenario
 from polemap.simulate.skyline import Fronts
 from polemap.simulate.vegetation import PLANTS
 from polemap.simulate.vehicles import PARKED
+from polemap.simulate.walls import WALLS
+from polemap.vehicle.pose import transform_points, wrap_angle
 
 Floats = NDArray[np.float64]
-KINDS: dict[str, Maker] = {**MAKERS, **PLANTS, **PARKED}
+KINDS: dict[str, Maker] = {**MAKERS, **PLANTS, **PARKED, **WALLS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,22 @@ class WorldObject:
 
 
 @dataclass(frozen=True, slots=True)
+class WorldCorner:
+    """A vertical edge of a building or a wall, in the world's local metres.
+
+    `owner` is the id of what it belongs to, 0 of a house; `facing_rad` points away from that,
+    between the two sides that meet there.
+    """
+
+    owner: int
+    kind: str
+    x_m: float
+    y_m: float
+    facing_rad: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class World:
     """Everything that stands still."""
 
@@ -50,6 +68,7 @@ class World:
     mesh: Mesh
     objects: tuple[WorldObject, ...]
     fronts: Fronts
+    corners: tuple[WorldCorner, ...]
 
     def poles(self) -> tuple[WorldObject, ...]:
         """The objects that belong into a pole map."""
@@ -70,11 +89,12 @@ def make_world(scenario: Scenario, seed: int, removed: frozenset[int] = frozense
     parts += [side_street(route, section, scenario.section, s) for s in scenario.side_streets]
     objects: list[WorldObject] = []
     blocked: list[tuple[float, float, float]] = []
+    corners: list[WorldCorner] = []
     fronts: list[tuple[float, float, float, float, float]] = []
     for index, spec in enumerate(scenario.houses):
         rng = np.random.default_rng([seed, 2, index])
-        meshes, places = _houses(spec, scenario, route, section, rng)
-        parts, fronts = parts + meshes, fronts + places
+        meshes, places, edges = _houses(spec, scenario, route, section, rng)
+        parts, fronts, corners = parts + meshes, fronts + places, corners + edges
     for index, row in enumerate(scenario.rows):
         maker = KINDS.get(row.kind)
         if maker is None:
@@ -83,12 +103,13 @@ def make_world(scenario: Scenario, seed: int, removed: frozenset[int] = frozense
                 f"known kinds: {', '.join(sorted(KINDS))}"
             )
         rng = np.random.default_rng([seed, 3, index])
-        for mesh, thing in _row(
+        for mesh, thing, edges in _row(
             row, maker, scenario, route, section, rng, blocked, len(objects) + 1
         ):
             objects.append(thing)
             if thing.owner not in removed:
                 parts.append(mesh)
+                corners += edges
     if scenario.backdrop:
         centre = route.points_m.mean(axis=0)
         reach = float(np.hypot(*(route.points_m - centre).T).max()) + 55
@@ -96,7 +117,21 @@ def make_world(scenario: Scenario, seed: int, removed: frozenset[int] = frozense
             backdrop(np.random.default_rng([seed, 4]), (float(centre[0]), float(centre[1])), reach)
         )
     standing = tuple(o for o in objects if o.owner not in removed)
-    return World(scenario, seed, route, section, join(parts), standing, Fronts.of(fronts))
+    return World(
+        scenario, seed, route, section, join(parts), standing, Fronts.of(fronts), tuple(corners)
+    )
+
+
+def _placed(
+    corners: tuple[Corner, ...], owner: int, kind: str, x_m: float, y_m: float, turn_rad: float
+) -> list[WorldCorner]:
+    """Corners of a thing that stands turned at (x, y)."""
+    pose = np.array([x_m, y_m, turn_rad])
+    places = transform_points(pose, np.array([[c.x_m, c.y_m] for c in corners]).reshape(-1, 2))
+    return [
+        WorldCorner(owner, kind, x, y, float(wrap_angle(c.facing_rad + turn_rad)), c.height_m)
+        for c, (x, y) in zip(corners, places.tolist(), strict=True)
+    ]
 
 
 def _sides(side: str) -> tuple[float, ...]:
@@ -120,10 +155,10 @@ def _row(
     rng: np.random.Generator,
     blocked: list[tuple[float, float, float]],
     first: int,
-) -> list[tuple[Mesh, WorldObject]]:
+) -> list[tuple[Mesh, WorldObject, list[WorldCorner]]]:
     """The objects of one row; places that another object occupies stay empty."""
     end = min(row.to_m or route.length_m, route.length_m)
-    made: list[tuple[Mesh, WorldObject]] = []
+    made: list[tuple[Mesh, WorldObject, list[WorldCorner]]] = []
     for side in _sides(row.side):
         station = row.from_m + rng.uniform(0.1, 0.9) * row.spacing_m
         if row.irregular == 0.0:
@@ -152,7 +187,8 @@ def _row(
             thing = WorldObject(
                 owner, row.kind, made_one.pole, x, y, made_one.width_m, made_one.height_m
             )
-            made.append((mesh, thing))
+            edges = _placed(made_one.corners, owner, row.kind, x, y, turn)
+            made.append((mesh, thing, edges))
     return made
 
 
@@ -162,9 +198,9 @@ def _houses(
     route: Route,
     section: CrossSection,
     rng: np.random.Generator,
-) -> tuple[list[Mesh], list[tuple[float, float, float, float, float]]]:
+) -> tuple[list[Mesh], list[tuple[float, float, float, float, float]], list[WorldCorner]]:
     """Houses with their fronts parallel to the street, and these; none inside a tight bend."""
-    parts, fronts = [], []
+    parts, fronts, corners = [], [], list[WorldCorner]()
     for side in _sides(spec.side):
         station = float(rng.uniform(0, 6))
         while station < route.length_m - 8:
@@ -183,6 +219,8 @@ def _houses(
             ):
                 continue
             base = float(section.height_at(lateral)) - 0.1
-            parts.append(built.mesh.placed(x, y, base, yaw if side < 0 else yaw + np.pi))
+            turn = yaw if side < 0 else yaw + np.pi
+            parts.append(built.mesh.placed(x, y, base, turn))
+            corners += _placed(built.corners, 0, "house", x, y, turn)
             fronts.append((x, y, yaw, width, built.height_m))
-    return parts, fronts
+    return parts, fronts, corners

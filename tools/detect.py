@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from polemap.detect.models.io import read_classifier
+from polemap.detect.corners import StereoCorners
+from polemap.detect.models.io import read_classifier, read_corner_classifier
 from polemap.drivelog.atomic import atomic_folder, check_folder
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
@@ -44,6 +47,7 @@ _COLUMNS = (
     *("frame", "stamp_s", "left_px", "right_px", "top_px", "bottom_px", "disparity_px"),
     *("x_m", "y_m", "width_m", "height_m", "probability", "track"),
 )
+_KIND_COLUMNS = ("kind", "facing_rad")
 KIND = "detection folder"
 _BANDS_M = ((5.0, 20.0), (5.0, 10.0), (10.0, 15.0), (15.0, 20.0), (20.0, 25.0))
 
@@ -76,12 +80,14 @@ def command(
       polemap detect drive --out found --frames 0:50 --pictures
       polemap detect kitti/sequences/03 --out found --evaluate kitti/poles/03.csv
       polemap detect drive --out found --set polemap.detection.probability_min=0.7
-      polemap detect drive --out found --set polemap.detection.kinds=[pole,lane_marking,kerb]
+      polemap detect drive --out found --set polemap.detection.kinds=[pole,corner,kerb]
 
     detections.csv has a row for every hypothesis with its probability; `track` is -1 where it
-    belongs to none. lines.csv, where detection.kinds names lane_marking or kerb, has a row for
-    every piece of a line. Pictures show depth edges, hypotheses (green: a pole), track ids and the
-    disparity, and from above the view, the uncertainties and the map.
+    belongs to none. Where detection.kinds names corner, the columns `kind` and `facing_rad` follow,
+    of a corner the direction into its free side, counter-clockwise from forward. lines.csv, where
+    it names lane_marking or kerb, has a row for every piece of a line. Pictures show depth edges,
+    hypotheses (green: a pole), track ids and the disparity, and from above the view, the
+    uncertainties and the map.
     """
     check_folder(out, KIND, (drive, evaluate, unmapped, config, topics))
     settings = load_settings(config, set_values)
@@ -94,9 +100,10 @@ def command(
     lacking = read_map(unmapped, opened.frame).points_m if unmapped else None
     if evaluate and opened.reference is None:
         raise InputError(f"drive {opened.name}: it has no reference to place a map by")
-    read_classifier(
-        settings.polemap.detection.model
-    )  # a name that is none is told before pictures are read
+    # a name that is none is told before pictures are read
+    read_classifier(settings.polemap.detection.model)
+    if "corner" in settings.polemap.detection.kinds:
+        read_corner_classifier(settings.polemap.detection.corner_model)
     require_plausible(opened.name, find(opened), force=force)
     with atomic_folder(out, KIND) as folder:
         records, counted = _detect_frames(opened, wanted, settings, folder, pictures, known)
@@ -117,6 +124,7 @@ class _Counted:
     frames: int = 0
     hypotheses: int = 0
     poles: int = 0
+    corners: int | None = None
     tracks: set[int] = field(default_factory=set)
     distances_m: list[float] = field(default_factory=list)
     lines_of: CountedLines | None = None
@@ -130,6 +138,10 @@ class _Counted:
         self.hypotheses += len(found)
         self.poles += int(np.count_nonzero(sure))
         self.tracks |= set(perceived.tracks.ids[perceived.tracks.confirmed].tolist())
+        corners = perceived.view.corners
+        if corners is not None:
+            sure_corners = np.count_nonzero(corners.probability >= probability_min)
+            self.corners = (self.corners or 0) + int(sure_corners)
         self.distances_m += np.hypot(*found.points_vehicle_m[sure].T).tolist()
 
     def lines(self, drive: Path, out: Path, pictures: bool) -> list[str]:
@@ -139,9 +151,12 @@ class _Counted:
         middle_m = np.median(self.distances_m) if self.poles else 0.0
         where = f", half of them nearer than {middle_m:.0f} m" if self.poles else ""
         frames = f"{self.frames} frame" + ("s" if self.frames != 1 else "")
+        corners = ""
+        if self.corners is not None:
+            corners = f", {self.corners} corners ({self.corners / max(self.frames, 1):.1f} a frame)"
         return [
             f"{frames}: {self.hypotheses} hypotheses, {self.poles} called poles "
-            f"({self.poles / max(self.frames, 1):.1f} a frame{where}); "
+            f"({self.poles / max(self.frames, 1):.1f} a frame{where}){corners}; "
             f"{len(self.tracks)} confirmed tracks",
             *told,
             f"wrote {out / 'detections.csv'}{also}"
@@ -176,10 +191,11 @@ def _detect_frames(
         progress(len(wanted), f"poles of {drive.name}") as advance,
     ):
         table = csv.writer(file)
-        table.writerow(_COLUMNS)
+        kinds = settings.polemap.detection.kinds
+        table.writerow(_COLUMNS if _without_corners(kinds) else (*_COLUMNS, *_KIND_COLUMNS))
         for perceived in perceive_drive(part, perception):
             frame = perceived.frame
-            table.writerows(_rows(perceived))
+            table.writerows(_rows(perceived, kinds))
             rows_of_lines += line_rows(perceived)
             counted.add(perceived, settings.polemap.detection.probability_min)
             pose = drive.reference.at(np.array([frame.stamp_s]))[0] if drive.reference else None
@@ -200,11 +216,48 @@ def _detect_frames(
     return records, counted
 
 
-def _rows(perceived: PerceivedFrame) -> list[list[Any]]:
-    found = perceived.view.detections
-    track = np.full(len(found), -1)
+def _rows(perceived: PerceivedFrame, kinds: Sequence[str]) -> list[list[Any]]:
+    """A row for every hypothesis; `kind` and `facing_rad` only where corners are asked for."""
+    found, corners = perceived.view.detections, perceived.view.corners
+    track = np.full(len(perceived.view.landmarks), -1)
     taken = perceived.tracks.detection >= 0
     track[perceived.tracks.detection[taken]] = perceived.tracks.ids[taken]
+    rows = _pole_rows(perceived, track)
+    if _without_corners(kinds):
+        return rows
+    rows = [[*row, "pole", ""] for row in rows]
+    return rows if corners is None else rows + _corner_rows(perceived, corners, track[len(found) :])
+
+
+def _without_corners(kinds: Sequence[str]) -> bool:
+    return "corner" not in kinds
+
+
+def _corner_rows(
+    perceived: PerceivedFrame, corners: StereoCorners, track: NDArray[np.int64]
+) -> list[list[Any]]:
+    """Both flanks of a corner are its edge at mid height; it has no width."""
+    middle = corners.edge_px(0.5 * (corners.top_px + corners.bottom_px))
+    return [
+        [
+            perceived.frame.index,
+            f"{perceived.frame.stamp_s:.6f}",
+            *(f"{value[row]:.2f}" for value in (middle, middle, corners.top_px, corners.bottom_px)),
+            f"{corners.disparity_px[row]:.3f}",
+            *(f"{value:.4f}" for value in corners.points_vehicle_m[row]),
+            "",
+            f"{corners.height_m[row]:.3f}",
+            f"{corners.probability[row]:.4f}",
+            int(track[row]),
+            "corner",
+            f"{corners.facing_rad[row]:.4f}",
+        ]
+        for row in range(len(corners))
+    ]
+
+
+def _pole_rows(perceived: PerceivedFrame, track: NDArray[np.int64]) -> list[list[Any]]:
+    found = perceived.view.detections
     return [
         [
             perceived.frame.index,

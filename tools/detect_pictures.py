@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.detect.corners import StereoCorners
 from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.line_detections import LineDetections
 from polemap.drivelog.samples import Image
@@ -21,6 +22,7 @@ Floats = NDArray[np.float64]
 
 _POLE, _OTHER, _TRACK, _MAP = (80, 220, 60), (70, 70, 255), (255, 220, 60), (60, 160, 255)
 _LEFT_EDGE, _RIGHT_EDGE, _GROUND, _VIEW = (0, 200, 0), (255, 0, 255), (200, 200, 0), (90, 90, 90)
+_CORNER, _TICK_PX = (255, 160, 40), 9
 _BEV_M, _BEV_SCALE = (30.0, 15.0), 13.0  # ahead and to each side; pixels a metre
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -54,6 +56,8 @@ def overlay(
     """
     picture = _draw_edges(_grey(perceived.frame.left), perceived)
     picture = _draw_hypotheses(picture, perceived, probability_min)
+    if perceived.view.corners is not None:
+        picture = _draw_corners(picture, perceived, perceived.view.corners, probability_min)
     if rig is not None:
         picture = draw_lines(picture, perceived, rig)
     depth = _colours(perceived.disparity.left)
@@ -122,6 +126,28 @@ def _draw_hypotheses(
     return picture
 
 
+def _draw_corners(
+    picture: Picture, perceived: PerceivedFrame, corners: StereoCorners, probability_min: float
+) -> Picture:
+    """Edges with a tick to their free side, and their tracks."""
+    tracks, first = perceived.tracks, len(perceived.view.detections)
+    row_of = {int(row) - first: at for at, row in enumerate(tracks.detection)}
+    ends = [(v, corners.edge_px(v)) for v in (corners.top_px, corners.bottom_px)]
+    for row in range(len(corners)):
+        colour = _CORNER if corners.probability[row] >= probability_min else _OTHER
+        top, bottom = ((round(float(u[row])), round(float(v[row]))) for v, u in ends)
+        cv2.line(picture, top, bottom, colour, 1, cv2.LINE_AA)
+        middle = ((top[0] + bottom[0]) // 2, (top[1] + bottom[1]) // 2)
+        tick = (round(middle[0] + _TICK_PX * float(corners.free[row])), middle[1])
+        cv2.line(picture, middle, tick, colour, 1, cv2.LINE_AA)
+        text = f"{corners.probability[row]:.2f}"
+        if row in row_of:
+            at = row_of[row]
+            text += f" #{tracks.ids[at]}" + ("" if tracks.confirmed[at] else "?")
+        _text(picture, text, (top[0] - 14, bottom[1] + 10), colour)
+    return picture
+
+
 def _from_above(
     perceived: PerceivedFrame, probability_min: float, mapped_vehicle_m: Floats | None
 ) -> Picture:
@@ -159,6 +185,13 @@ def _from_above(
         sure = found.probability[row] >= probability_min
         _ellipse(picture, found.points_vehicle_m[row], found.covariance_m2[row], pixel,
                  _POLE if sure else _OTHER)  # fmt: skip
+    corners = perceived.view.corners
+    if corners is not None:
+        for row in np.flatnonzero(corners.probability >= probability_min).tolist():
+            place, facing = corners.points_vehicle_m[row], corners.facing_rad[row]
+            _ellipse(picture, place, corners.covariance_m2[row], pixel, _CORNER)
+            tip = place + np.array([np.cos(facing), np.sin(facing)])
+            cv2.line(picture, pixel(place), pixel(tip), _CORNER, 1, cv2.LINE_AA)
     tracks = perceived.tracks
     for row in np.flatnonzero(tracks.confirmed).tolist():
         place = pixel(tracks.points_vehicle_m[row])

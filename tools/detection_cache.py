@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from polemap.config import PolemapConfig
 from polemap.detect.detection import detect
-from polemap.detect.models.io import read_classifier
+from polemap.detect.models.io import read_classifier, read_corner_classifier
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import named
 from polemap.stereo.config import StereoConfig
@@ -82,7 +83,10 @@ def raw_scans(
             f"drive {drive.name}: it has images, but {drive.names.head} describes no camera"
         )
     matcher = make_matcher(stereo, drive.rig)
-    classifier = read_classifier(polemap.detection.model)
+    config = polemap.detection
+    classifier, corners = read_classifier(config.model), None
+    if LandmarkKind.CORNER in config.landmark_kinds:
+        corners = read_corner_classifier(config.corner_model)
     scans: list[Detections] = []
     spent = np.zeros((len(rows), len(STAGES)))
     for number, row in enumerate(rows):
@@ -90,9 +94,9 @@ def raw_scans(
         begin = perf_counter()
         disparity = matcher.match(frame.left, frame.right)
         middle = perf_counter()
-        view = detect(frame, disparity, drive.rig, classifier, polemap.detection)
+        view = detect(frame, disparity, drive.rig, classifier, config, corners)
         spent[number] = middle - begin, perf_counter() - middle
-        scans.append(view.detections)
+        scans.append(view.landmarks)
     return RawScans(tuple(scans), spent)
 
 

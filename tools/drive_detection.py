@@ -243,9 +243,10 @@ def detection_settings(settings: Settings) -> dict[str, Any]:
         for key in name.split("."):
             part = part[key]
         found[name] = part
-    model = Path(settings.polemap.detection.model)
-    if model.is_file():
-        found["model"] = hashlib.sha256(model.read_bytes()).hexdigest()
+    for key in ("model", "corner_model"):
+        model = Path(getattr(settings.polemap.detection, key))
+        if model.is_file():
+            found[key] = hashlib.sha256(model.read_bytes()).hexdigest()
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +34,13 @@ from polemap.training import (
 )
 
 
+class Learned(StrEnum):
+    """Names of `KindName` that a model is for, for the command line."""
+
+    pole = "pole"
+    corner = "corner"
+
+
 def command(
     drives: Annotated[list[str], typer.Argument(help="DRIVE=MAP pairs.")],
     out: Annotated[Path, typer.Option("--out", help="JSON file of the model.")],
@@ -44,15 +52,19 @@ def command(
         int, typer.Option("--parts", min=1, help="Stretches of a drive for cross-validation.")
     ] = 1,
     every: Annotated[int, typer.Option("--every", min=1, help="Use every n-th frame.")] = 1,
+    kind: Annotated[
+        Learned, typer.Option("--kind", help="What the maps hold and the model is to know.")
+    ] = Learned.pole,
     topics: TopicsOption = None,
     config: ConfigOption = None,
     set_values: SetOption = None,
 ) -> None:
-    """Train the pole classifier on drives with a known pole map.
+    """Train the classifier of poles, or of corners, on drives with a known pole map.
 
     Examples:
       polemap train sim_1=sim_1/objects.geojson sim_2=sim_2/objects.geojson --out poles.json
       polemap train kitti/sequences/03=kitti/poles/03.csv --parts 2 --out poles.json
+      polemap train sim_1=sim_1/corners.csv --parts 2 --kind corner --out corners.json
       polemap detect DRIVE --out DIR --set polemap.detection.model=poles.json
 
     Hypotheses near a mapped pole count as poles, those far from all as other things. The printed
@@ -62,7 +74,7 @@ def command(
     pairs, lacking = _pairs(drives), dict(_pairs(unmapped or []))
     inputs = [place for pair in [*pairs, *lacking.items()] for place in pair]
     check_file(out, [*inputs, config, topics], (".json",))
-    training = TrainingConfig(every=every)
+    training = TrainingConfig(every=every, kind=kind.value)
     gathered = [
         _collect(drive, pole_map, lacking.get(drive), settings, training, parts, topics)
         for drive, pole_map in pairs
@@ -74,7 +86,7 @@ def command(
     model = train(
         samples,
         training,
-        {**_origin(samples, crossed, training), **_source(pairs, lacking, parts, every, topics)},
+        {**_origin(samples, crossed, training), **_source(pairs, lacking, parts, training, topics)},
     )
     write_classifier(model, out)
     _tell(model, samples, crossed)
@@ -94,7 +106,7 @@ def _source(
     pairs: list[tuple[str, str]],
     lacking: dict[str, str],
     parts: int,
-    every: int,
+    training: TrainingConfig,
     topics: Path | None,
 ) -> dict[str, Any]:
     """The command, without the folders of this machine, and what the drives say of themselves."""
@@ -102,7 +114,8 @@ def _source(
     words += [f"--unmapped {Path(d).name}={Path(m).name}" for d, m in lacking.items()]
     opened = [open_drive(Path(drive), topics=topics) for drive, _ in pairs]
     return {
-        "command": f"polemap train {' '.join(words)} --parts {parts} --every {every}",
+        "command": f"polemap train {' '.join(words)} --parts {parts} --every {training.every}"
+        + (f" --kind {training.kind}" if training.kind != "pole" else ""),
         "notes": {drive.name: list(drive.notes) for drive in opened},
     }
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from polemap.drivelog.landmark_kind import LandmarkKind
 
-KindName = Literal["pole", "lane_marking", "kerb"]
+KindName = Literal["pole", "corner", "lane_marking", "kerb"]
 
 
 class DetectionConfig(BaseModel):
@@ -24,6 +24,7 @@ class DetectionConfig(BaseModel):
         description="What is looked for; `pole` always, as poles tell the camera's error.",
     )
     model: str = Field("default", description="Built-in classifier name, or a path to its JSON.")
+    corner_model: str = Field("corners", description="The same of the classifier of corners.")
     row_step_px: int = Field(
         3, ge=1, le=8, description="Every n-th image row is searched for depth edges."
     )

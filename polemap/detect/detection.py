@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from polemap.detect.constants import (
     STEP_MIN_M,
     STEP_MIN_PX,
 )
+from polemap.detect.corners import StereoCorners, find_corners
 from polemap.detect.features import Profiles, measure_features
 from polemap.detect.ground import Ground, fit_ground
 from polemap.detect.hypotheses import Hypotheses, find_hypotheses
@@ -70,7 +71,7 @@ class FrameView:
     """All that one frame showed.
 
     `edges` are left and right flanks; `lines` is None where none were looked for or no road was
-    seen.
+    seen, `corners` where none were looked for.
     """
 
     detections: StereoDetections
@@ -78,6 +79,30 @@ class FrameView:
     edges: tuple[DepthEdges, DepthEdges]
     region: VisibleRegion
     lines: LineDetections | None = None
+    corners: StereoCorners | None = None
+
+    @property
+    def landmarks(self) -> Detections:
+        """Poles, and after them corners, in one table."""
+        if self.corners is None:
+            return self.detections
+        return Detections.concatenate([self.detections, self.corners])
+
+    def located(self, landmarks: Detections) -> FrameView:
+        """The same with places and shifts of `landmarks`, the rows of `self.landmarks`."""
+        first = len(self.detections)
+
+        def columns(rows: slice) -> dict[str, Floats]:
+            return {
+                "points_vehicle_m": landmarks.points_vehicle_m[rows],
+                "shift_per_px_m": landmarks.shift_per_px_m[rows],
+            }
+
+        poles = self.detections.with_columns(**columns(slice(first)))
+        corners = self.corners
+        if corners is not None:
+            corners = corners.with_columns(**columns(slice(first, None)))
+        return replace(self, detections=poles, corners=corners)
 
 
 def detect(
@@ -86,8 +111,9 @@ def detect(
     rig: StereoRig,
     classifier: PoleClassifier | None,
     config: DetectionConfig,
+    corner_classifier: PoleClassifier | None = None,
 ) -> FrameView:
-    """Find the poles of one frame, and the lines if the settings name them.
+    """Find the poles of one frame, and corners and lines if the settings name them.
 
     Args:
         frame: the rectified pair.
@@ -96,6 +122,7 @@ def detect(
         classifier: says how likely a hypothesis is a pole; without one, as for training, all
             hypotheses are kept with probability 0.5.
         config: settings.
+        corner_classifier: the same for corners, where `config.kinds` names them.
     """
     focal_baseline = rig.focal_px * rig.baseline_m
     maps = upright_maps(disparity, config.row_step_px)
@@ -112,9 +139,12 @@ def detect(
     distance = np.hypot(*(found.points_vehicle_m - view.origin_vehicle_m).T)
     found = found.take((distance >= config.range_min_m) & (distance <= config.range_max_m))
     found = _suppress(found) if classifier is not None else found
+    corners = None
+    if LandmarkKind.CORNER in config.landmark_kinds:
+        corners = find_corners(frame, maps, edges, ground, view, rig, corner_classifier, config)
     kinds = config.landmark_kinds & LINE_KINDS
     lines = find_lines(frame.left, maps, ground, rig, kinds) if kinds else None
-    return FrameView(found, ground, edges, view, lines)
+    return FrameView(found, ground, edges, view, lines, corners)
 
 
 def _fit_disparity(

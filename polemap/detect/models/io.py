@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from polemap.detect import corner_features
 from polemap.detect.classifier import PoleClassifier
 from polemap.detect.features import NAMES
 from polemap.drivelog.atomic import atomic_file
@@ -19,8 +20,16 @@ _FORMAT = "polemap pole classifier"
 _VERSION = 1
 
 
-def read_classifier(name_or_path: str) -> PoleClassifier:
+def read_corner_classifier(name_or_path: str) -> PoleClassifier:
+    """`read_classifier` of a model that was made for the features of corners."""
+    return read_classifier(name_or_path, corner_features.NAMES)
+
+
+def read_classifier(name_or_path: str, features: tuple[str, ...] = NAMES) -> PoleClassifier:
     """A built-in classifier by its name, or one from a JSON file.
+
+    Args:
+        features: names of those that it must have been made for.
 
     Raises:
         InputError: no such model, not JSON, or made for other features.
@@ -46,8 +55,8 @@ def read_classifier(name_or_path: str) -> PoleClassifier:
         bias, origin = float(tree["bias"]), dict(tree["origin"])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: a value is missing or not a number ({short(error)})") from error
-    if names != NAMES:
-        strange = sorted(set(names) ^ set(NAMES)) or ["their order"]
+    if names != features:
+        strange = sorted(set(names) ^ set(features)) or ["their order"]
         raise InputError(
             f"{path}: was trained on other features ({', '.join(strange[:5])}); "
             "train it again with `polemap train`"
