@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.detect.lines.road_frame import STEP_ASIDE_M, RoadView, ahead_m, left_m
+from polemap.detect.lines.road_frame import STEP_ASIDE_M, RoadView, ahead_m, left_m, mean_height
 from polemap.stereo.depth_edges import UprightMaps
 
 Floats = NDArray[np.float64]
@@ -22,9 +21,7 @@ STEP_MIN_M, STEP_MAX_M = 0.05, 0.25
 _REACH = round(0.4 / STEP_ASIDE_M)  # columns from the step to the middle of its sides
 HEIGHT_SD_PX = 0.25  # of a side's mean height, as a disparity: the matcher's streaks along columns
 NOISE_SDS = 4.0
-_BOX = (7, 5)  # columns, rows over which a side is averaged
 _FINE_BOX = (3, 3)
-_LEAST_MATCHED = 0.6
 _FLAT_M, _FLAT_SHARE = 0.03, 0.35  # of the step; how much the sides themselves may rise
 UPRIGHT_AT_M = (0.35, 0.55)  # over the edge
 UPRIGHT_SHARE = 0.9  # of its disparity: nothing but what stands there has as much
@@ -48,7 +45,7 @@ class KerbPoints:
 
 def kerb_points(view: RoadView, maps: UprightMaps) -> KerbPoints:
     """Where rows of the grid step up, away from the camera."""
-    mean = _mean_height(view, _BOX)
+    mean = view.ground_m
     n = mean.shape[1]
     r = _REACH
     middle = slice(2 * r, n - 2 * r)
@@ -74,16 +71,6 @@ def kerb_points(view: RoadView, maps: UprightMaps) -> KerbPoints:
     return _locate(view, maps, row, column, s, step, level)
 
 
-def _mean_height(view: RoadView, box: tuple[int, int]) -> Floats32:
-    """Mean of the matched heights in a box about each cell; NaN where few are matched."""
-    share = cv2.blur(view.matched, box)
-    total = cv2.blur(view.height_m, box)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = total / share
-    mean[share < _LEAST_MATCHED] = np.nan
-    return np.asarray(mean)
-
-
 def _locate(
     view: RoadView,
     maps: UprightMaps,
@@ -97,7 +84,7 @@ def _locate(
 
     The kerb's face is upright, so that each of its heights has the place of its upper edge.
     """
-    fine = _mean_height(view, _FINE_BOX)
+    fine = mean_height(view.height_m, view.matched, _FINE_BOX)
     reach = np.arange(-_REACH, _REACH + 1)
     at = column[:, np.newaxis] + (side[:, np.newaxis] * reach).astype(np.int64)
     over = fine[row[:, np.newaxis], at] - level[:, np.newaxis]

@@ -27,14 +27,12 @@ Floats32 = NDArray[np.float32]
 WIDTH_MIN_M, WIDTH_MAX_M = 0.08, 0.5
 _SIDE_BOX = 7  # columns of each side
 _BOXES = (3, 7)  # columns: stripes of 0.1 to 0.2 m, and of 0.2 to 0.5 m
-_LEAST_LEVELS = 5.0  # of 255: less is the camera's noise
+_LEAST_LEVELS = 5  # of 255: less is the camera's noise
 _LEAST_SHARE = 0.1  # of the side's brightness: worn paint
 _SIDES_SHARE = 0.5  # of the contrast, by which the sides may differ
 _BESIDE = np.arange(1, 8)  # columns behind a flank that are its side
 _SCATTER_SHARE = 0.4  # of the contrast: leaves' shadows scatter more
 _REACH = 16  # columns of a profile to each side
-_GROUND_BOX = (9, 9)  # columns, rows
-_LEAST_MATCHED = 0.3
 _STEP_AT = 10  # columns
 _RISE_MAX_M = 0.045
 _GROUND_M = 0.25  # farther over or under the plane is no road
@@ -64,31 +62,25 @@ def marking_points(view: RoadView) -> MarkingPoints:
     for box in _BOXES:
         apart = (box + _SIDE_BOX) // 2 + 1
         mean = sides if box == _SIDE_BOX else cv2.blur(light, (box, 1))
-        beside = np.maximum(sides[:, : -2 * apart], sides[:, 2 * apart :])
-        ridge = mean[:, apart:-apart] - beside
-        ridge[ridge < np.maximum(_LEAST_SHARE * beside, _LEAST_LEVELS)] = 0.0
+        beside = cv2.max(sides[:, : -2 * apart], sides[:, 2 * apart :])
+        # bytes do not fall below 0
+        ridge = cv2.subtract(mean[:, apart:-apart], beside)
         np.maximum(answer[:, apart:-apart], ridge, out=answer[:, apart:-apart])
     middle = answer[:, 1:-1]
-    peak = (middle > 0.0) & (middle >= answer[:, :-2]) & (middle > answer[:, 2:])
+    peak = (middle >= _LEAST_LEVELS) & (middle >= answer[:, :-2]) & (middle > answer[:, 2:])
     peak &= view.inside[:, 1:-1]
     row, column = np.nonzero(peak)
     column += 1
     inner = (column >= _REACH) & (column < COLUMNS - _REACH)
     row, column = row[inner], column[inner]
-    ground, known = _ground(view)
+    ground = view.ground_m
     level = ground[row, column]
-    on_road = known[row, column] & (np.abs(level) < _GROUND_M)
+    # NaN, where the ground is not known, is no road
+    on_road = np.abs(level) < _GROUND_M
     # a bright kerbstone has a step beside it
     rise = ground[row, column + _STEP_AT] - ground[row, column - _STEP_AT]
-    on_road &= np.abs(rise) < _RISE_MAX_M
+    on_road &= ~(np.abs(rise) >= _RISE_MAX_M)
     return _measure(view, row[on_road], column[on_road], level[on_road])
-
-
-def _ground(view: RoadView) -> tuple[Floats32, NDArray[np.bool_]]:
-    """Height of the ground about each cell, and where it is known."""
-    share = cv2.blur(view.matched, _GROUND_BOX)
-    total = cv2.blur(view.height_m, _GROUND_BOX)
-    return np.asarray(total / np.maximum(share, 1e-3)), np.asarray(share >= _LEAST_MATCHED)
 
 
 def _measure(
@@ -96,7 +88,7 @@ def _measure(
 ) -> MarkingPoints:
     """Flanks of the stripes; those too thin, too wide or with unequal sides are left out."""
     reach = np.arange(-_REACH, _REACH + 1)
-    profile = view.light[row[:, np.newaxis], column[:, np.newaxis] + reach]
+    profile = view.light[row[:, np.newaxis], column[:, np.newaxis] + reach].astype(np.float32)
     top = profile[:, _REACH - 1 : _REACH + 2].max(axis=1)
     halves, lights, scatters = [], [], []
     for outward in (profile[:, _REACH::-1], profile[:, _REACH:]):

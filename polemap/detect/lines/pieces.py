@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.detect.lines.road_frame import ASIDE_M, FAR_M, NEAR_M, STEP_AHEAD_M
+from polemap.detect.lines.road_frame import ASIDE_M, FAR_M, NEAR_M, ROWS, STEP_AHEAD_M
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,6 +37,8 @@ _TAKE_M = 0.15
 _CLEAR_M = 0.25  # two lines that are nearer than this are one, or a double one
 _NEIGHBOURS = np.ones((3, 5), np.uint8)
 _TRIES = 16  # bounds the time of a frame
+_PROMISING = 1.1  # with what lies behind a gap a piece may scatter a little more
+_SHORTEST = round(LEAST_LENGTH_M / STEP_AHEAD_M)
 _LEAST_POINTS = int(LEAST_SHARE * LEAST_LENGTH_M / STEP_AHEAD_M)
 
 
@@ -84,6 +86,7 @@ def straight_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
     peaks = (votes == cv2.dilate(votes, _NEIGHBOURS)) & (votes >= 0.8 * _LEAST_POINTS)
     slope_at, cell = np.nonzero(peaks)
     best = np.argsort(-votes[slope_at, cell], kind="stable")[:_TRIES]
+    best = best[_promising(x, y, slope_at[best], cell[best], middle)]
     found: list[Piece] = []
     free = np.ones(len(x), dtype=bool)
     for s, at in zip(slope_at[best].tolist(), cell[best].tolist(), strict=True):
@@ -101,6 +104,32 @@ def straight_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
             along & (np.abs(y - piece.offset_m - piece.slope * (x - piece.middle_m)) < _CLEAR_M)
         )
     return found
+
+
+def _promising(x: Floats, y: Floats, slope_at: Ints, cell: Ints, middle: Floats) -> Ints:
+    """Which peaks of the votes a straight line explains, all at once: most are scattered points."""
+    window, bins = np.divmod(cell, _BINS)
+    ahead = x - middle[window][:, np.newaxis]
+    start = (bins + 1.0) * _BIN_M - ASIDE_M - 2.0
+    off = y - start[:, np.newaxis] - _SLOPES[slope_at][:, np.newaxis] * ahead
+    take = ((np.abs(ahead) <= 0.5 * WINDOW_M) & (np.abs(off) < _TAKE_M)).astype(np.float64)
+    rms = np.zeros((len(cell), 1))
+    for last in (False, True):
+        count = np.maximum(take.sum(axis=1), 1.0)
+        mean_u, mean_v = (take * ahead).sum(axis=1) / count, (take * off).sum(axis=1) / count
+        u, v = ahead - mean_u[:, np.newaxis], off - mean_v[:, np.newaxis]
+        slope = (take * u * v).sum(axis=1) / np.maximum((take * u * u).sum(axis=1), 1e-6)
+        v -= slope[:, np.newaxis] * u
+        rms = np.sqrt((take * v * v).sum(axis=1) / count)
+        if not last:
+            take *= np.abs(v) <= np.maximum(2.5 * rms, 0.04)[:, np.newaxis]
+    # some stretch of the least length shows it in most of its rows
+    row = np.clip(np.rint((x - NEAR_M) / STEP_AHEAD_M), 0, ROWS - 1).astype(np.int64)
+    shown = np.zeros((len(x), ROWS))
+    shown[np.arange(len(x)), row] = 1.0
+    so_far = np.minimum(take @ shown, 1.0).cumsum(axis=1)
+    dense = (so_far[:, _SHORTEST:] - so_far[:, :-_SHORTEST]).max(axis=1) >= _LEAST_POINTS
+    return np.flatnonzero((rms <= _PROMISING * RMS_MAX_M) & dense)
 
 
 def _vote(x: Floats, y: Floats) -> tuple[NDArray[np.float32], Floats]:

@@ -10,6 +10,7 @@ plane that the ray meets, as seen from the camera's foot.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,6 +28,8 @@ Floats32 = NDArray[np.float32]
 NEAR_M, FAR_M = 4.0, 24.0  # ahead of the camera
 ASIDE_M = 7.0
 STEP_AHEAD_M, STEP_ASIDE_M = 0.2, 0.05
+GROUND_BOX = (7, 5)  # columns, rows
+LEAST_MATCHED = 0.6  # of a box
 ROWS = round((FAR_M - NEAR_M) / STEP_AHEAD_M)
 COLUMNS = round(2.0 * ASIDE_M / STEP_ASIDE_M)
 # cells to road points (x ahead, y left of the camera's foot): row 0 is near, column 0 right
@@ -101,15 +104,17 @@ class RoadView:
         inside: cells that the image shows.
         height_m: over the plane, 0 where `matched` is not.
         matched: cells with a disparity, 1 or 0.
+        ground_m: mean height about each cell, NaN where too few are matched.
         disparity_px: `(ROWS,)` of the plane in the middle of each row.
         image_row: `(ROWS,)` row of the left image there; far rows of the grid share one.
     """
 
     frame: RoadFrame
-    light: Floats32
+    light: NDArray[np.uint8]
     inside: NDArray[np.bool_]
     height_m: Floats32
     matched: Floats32
+    ground_m: Floats32
     disparity_px: Floats
     image_row: NDArray[np.int64]
 
@@ -123,22 +128,47 @@ def view_road(image: Image, maps: UprightMaps, ground: Ground, rig: StereoRig) -
     pixel_from_cell = frame.pixel_from_road @ _ROAD_FROM_CELL
     size = (COLUMNS, ROWS)
     plain = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    light = cv2.warpPerspective(image, pixel_from_cell, size, flags=plain, borderValue=0)
+    light = _bytes(cv2.warpPerspective(image, pixel_from_cell, size, flags=plain, borderValue=0))
     thin = np.diag([1.0, 1.0 / maps.row_step_px, 1.0]) @ pixel_from_cell
     nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     disparity = cv2.warpPerspective(maps.left, thin, size, flags=nearest, borderValue=0)
-    row, column = np.arange(ROWS)[:, np.newaxis], np.arange(COLUMNS)[np.newaxis]
-    x, y, w = (a * column + b * row + c for a, b, c in pixel_from_cell.astype(np.float32))
+    # the axis to the left is level in the image: a row of the grid has one depth
+    depth = pixel_from_cell[2, 1] * np.arange(ROWS) + pixel_from_cell[2, 2]
+    along = np.multiply.outer(pixel_from_cell[:2, 1], np.arange(ROWS)) + pixel_from_cell[:2, 2:]
+    along /= depth
+    u, v = (
+        (np.multiply.outer(a / depth, np.arange(COLUMNS)) + beside[:, np.newaxis]).astype(
+            np.float32
+        )
+        for a, beside in zip(pixel_from_cell[:2, 0], along, strict=True)
+    )
+    inside = (u > 1.0) & (u < rig.width_px - 2)
+    middle = v[:, COLUMNS // 2]
+    inside &= ((middle > 1.0) & (middle < rig.height_px - 2))[:, np.newaxis]
     # the disparity belongs to the middle of the pixel that was taken, not to the cell's
-    step = np.float32(maps.row_step_px)
-    taken = np.rint(y / (w * step)) * step
-    expected = np.float32(ground.offset) + np.float32(ground.per_column) * np.rint(x / w)
-    expected += np.float32(ground.per_row) * taken
+    expected = np.rint(v / np.float32(maps.row_step_px))
+    expected *= np.float32(ground.per_row * maps.row_step_px)
+    expected += np.float32(ground.per_column) * u + np.float32(ground.offset)
     matched = (disparity > 0.0).astype(np.float32)
-    height = frame.height_m * (1.0 - expected / np.maximum(disparity, 0.1)) * matched
-    inside = (x > w) & (x < (rig.width_px - 2) * w) & (y > w) & (y < (rig.height_px - 2) * w)
+    height = np.float32(frame.height_m) * (1.0 - expected / np.maximum(disparity, 0.1))
+    height *= matched
     return RoadView(
-        frame, light.astype(np.float32), inside, height.astype(np.float32), matched,
-        expected[:, COLUMNS // 2].astype(np.float64),
-        np.rint(y / w)[:, COLUMNS // 2].astype(np.int64),
+        frame, light, inside, height, matched, mean_height(height, matched, GROUND_BOX),
+        expected[:, COLUMNS // 2].astype(np.float64), np.rint(middle).astype(np.int64),
     )  # fmt: skip
+
+
+def mean_height(height_m: Floats32, matched: Floats32, box: tuple[int, int]) -> Floats32:
+    """Mean of the matched heights in a box about each cell; NaN where few are matched."""
+    share = cv2.blur(matched, box)
+    mean = cv2.blur(height_m, box)
+    share[share < LEAST_MATCHED] = np.nan
+    return np.asarray(mean / share, dtype=np.float32)
+
+
+def _bytes(light: Any) -> NDArray[np.uint8]:
+    """Brightness in 255 levels; that of deeper images up to what hardly a cell is above."""
+    if light.dtype == np.uint8:
+        return np.asarray(light)
+    top = max(float(np.percentile(light[::4, ::4], 99.5)), 1e-6)
+    return np.asarray(np.clip(light * (255.0 / top), 0, 255), dtype=np.uint8)

@@ -10,7 +10,7 @@ import numpy as np
 from polemap.detect.lines.pieces import Piece
 from polemap.drivelog.landmark_kind import LineStyle
 
-_DOUBLE_M = 0.5  # between the middles of a double line
+_DOUBLE_M = 0.42  # between the middles of a double line
 _GAP_M = 1.5  # between the dashes of a dashed line
 _SOLID_M = 6.0  # without a gap: longer than the dashes of streets and country roads
 _OFF_M, _TURNED = 0.4, 0.12  # by which pieces of one line may miss each other
@@ -41,7 +41,7 @@ def _overlap(one: Piece, two: Piece) -> float:
 
 def _parallel(one: Piece, two: Piece) -> bool:
     """Whether two pieces run beside each other as the two of a double line do."""
-    if _overlap(one, two) < 0.5 * min(one.length_m, two.length_m):
+    if _overlap(one, two) < 0.6 * max(one.length_m, two.length_m):
         return False
     middle = 0.5 * (max(one.start_m, two.start_m) + min(one.end_m, two.end_m))
     return abs(one.at(middle) - two.at(middle)) < _DOUBLE_M
