@@ -95,8 +95,10 @@ class Detections(Columns):
 
     def of_kinds(self, *kinds: int) -> Self:
         """The rows of some kinds; the table itself where it holds no others."""
-        mine = np.isin(self.kind, kinds)
-        return self if mine.all() else self.take(mine)
+        # asked of every scan, of which nearly all are of one kind
+        if set(kinds).issuperset(self.kind.tolist()):
+            return self
+        return self.take(np.isin(self.kind, kinds))
 
 
 def pole_view(scans: Sequence[Detections]) -> VisibleRegion | None:

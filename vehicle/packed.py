@@ -28,7 +28,6 @@ _ROWS, _COLUMNS = np.triu_indices(SIZE)
 _NUMBER = np.zeros((SIZE, SIZE), dtype=np.int64)
 _NUMBER[_ROWS, _COLUMNS] = _NUMBER[_COLUMNS, _ROWS] = np.arange(len(_ROWS))
 INDEX: tuple[tuple[int, ...], ...] = tuple(map(tuple, _NUMBER.tolist()))
-_PAIRS = tuple(zip(_ROWS.tolist(), _COLUMNS.tolist(), strict=True))
 
 
 class GaussMarkov(NamedTuple):
@@ -280,14 +279,40 @@ def update_by_two(
     one, two = INDEX[first], INDEX[second]
     p = [h_first * upper[m] + h_second * upper[n] for m, n in zip(one, two, strict=False)]
     s = h_first * p[first] + h_second * p[second] + variance
-    k0, k1, k2, k3, k4, k5, k6, k7, k8 = k = [value / s for value in p]
-    # (I - k h') P (I - k h')' + k r k', with P h' = p and s = h p + r
-    new = tuple(
-        [
-            value - k[i] * p[j] - p[i] * k[j] + k[i] * k[j] * s
-            for (i, j), value in zip(_PAIRS, upper, strict=False)
-        ]
-    )
+    p0, p1, p2, p3, p4, p5, p6, p7, p8 = p
+    k0, k1, k2, k3, k4, k5, k6, k7, k8 = [value / s for value in p]
+    (
+        u00, u01, u02, u03, u04, u05, u06, u07, u08, u11, u12, u13, u14, u15, u16, u17, u18, u22,
+        u23, u24, u25, u26, u27, u28, u33, u34, u35, u36, u37, u38, u44, u45, u46, u47, u48, u55,
+        u56, u57, u58, u66, u67, u68, u77, u78, u88,
+    ) = upper  # fmt: skip
+    # (I - k h') P (I - k h')' + k r k', with P h' = p and s = h p + r; written out, since this is
+    # most of what a sample of odometry costs
+    new = (
+        u00 - k0 * p0 - p0 * k0 + k0 * k0 * s, u01 - k0 * p1 - p0 * k1 + k0 * k1 * s,
+        u02 - k0 * p2 - p0 * k2 + k0 * k2 * s, u03 - k0 * p3 - p0 * k3 + k0 * k3 * s,
+        u04 - k0 * p4 - p0 * k4 + k0 * k4 * s, u05 - k0 * p5 - p0 * k5 + k0 * k5 * s,
+        u06 - k0 * p6 - p0 * k6 + k0 * k6 * s, u07 - k0 * p7 - p0 * k7 + k0 * k7 * s,
+        u08 - k0 * p8 - p0 * k8 + k0 * k8 * s, u11 - k1 * p1 - p1 * k1 + k1 * k1 * s,
+        u12 - k1 * p2 - p1 * k2 + k1 * k2 * s, u13 - k1 * p3 - p1 * k3 + k1 * k3 * s,
+        u14 - k1 * p4 - p1 * k4 + k1 * k4 * s, u15 - k1 * p5 - p1 * k5 + k1 * k5 * s,
+        u16 - k1 * p6 - p1 * k6 + k1 * k6 * s, u17 - k1 * p7 - p1 * k7 + k1 * k7 * s,
+        u18 - k1 * p8 - p1 * k8 + k1 * k8 * s, u22 - k2 * p2 - p2 * k2 + k2 * k2 * s,
+        u23 - k2 * p3 - p2 * k3 + k2 * k3 * s, u24 - k2 * p4 - p2 * k4 + k2 * k4 * s,
+        u25 - k2 * p5 - p2 * k5 + k2 * k5 * s, u26 - k2 * p6 - p2 * k6 + k2 * k6 * s,
+        u27 - k2 * p7 - p2 * k7 + k2 * k7 * s, u28 - k2 * p8 - p2 * k8 + k2 * k8 * s,
+        u33 - k3 * p3 - p3 * k3 + k3 * k3 * s, u34 - k3 * p4 - p3 * k4 + k3 * k4 * s,
+        u35 - k3 * p5 - p3 * k5 + k3 * k5 * s, u36 - k3 * p6 - p3 * k6 + k3 * k6 * s,
+        u37 - k3 * p7 - p3 * k7 + k3 * k7 * s, u38 - k3 * p8 - p3 * k8 + k3 * k8 * s,
+        u44 - k4 * p4 - p4 * k4 + k4 * k4 * s, u45 - k4 * p5 - p4 * k5 + k4 * k5 * s,
+        u46 - k4 * p6 - p4 * k6 + k4 * k6 * s, u47 - k4 * p7 - p4 * k7 + k4 * k7 * s,
+        u48 - k4 * p8 - p4 * k8 + k4 * k8 * s, u55 - k5 * p5 - p5 * k5 + k5 * k5 * s,
+        u56 - k5 * p6 - p5 * k6 + k5 * k6 * s, u57 - k5 * p7 - p5 * k7 + k5 * k7 * s,
+        u58 - k5 * p8 - p5 * k8 + k5 * k8 * s, u66 - k6 * p6 - p6 * k6 + k6 * k6 * s,
+        u67 - k6 * p7 - p6 * k7 + k6 * k7 * s, u68 - k6 * p8 - p6 * k8 + k6 * k8 * s,
+        u77 - k7 * p7 - p7 * k7 + k7 * k7 * s, u78 - k7 * p8 - p7 * k8 + k7 * k8 * s,
+        u88 - k8 * p8 - p8 * k8 + k8 * k8 * s,
+    )  # fmt: skip
     x, y, yaw, v, w, scale, offset, fix_e, fix_n = mean
     return (
         x + k0 * residual,

@@ -20,7 +20,6 @@ from polemap.localize.particle_filter.estimate import (
     Mode,
     PfEstimate,
     best_pose,
-    mean_and_covariance,
     modes_of,
     position_sd,
 )
@@ -143,7 +142,7 @@ class Assessment:
     def _pose(self, particles: ParticleSet) -> tuple[Floats, Floats, list[Mode], float, float]:
         """Pose, covariance, modes, and the larger and smaller deviation of position."""
         rear, weights = particles.rear, particles.weights
-        mean, covariance = mean_and_covariance(rear, weights)
+        mean, covariance = particles.moments
         major, minor = position_sd(covariance)
         modes = modes_of(rear, weights, mean, covariance)
         pose, spread = mean, covariance

@@ -18,7 +18,7 @@ from polemap.localize.map_window import MapWindow
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.assessment import Assessment, Weighed
-from polemap.localize.particle_filter.estimate import Event, PfEstimate, mean_and_covariance
+from polemap.localize.particle_filter.estimate import Event, PfEstimate
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.motion_noise import NoiseScale
 from polemap.localize.particle_filter.odometry_faults import demand
@@ -283,14 +283,14 @@ class ParticleFilter:
         rear, before = particles.rear, particles.weights
         self._landmarks = self._weigher.near(rear, scan)
         result = self._weigher.weigh(rear, scan, self._landmarks)
-        expected = mean_and_covariance(rear, before)
+        expected = particles.moments
         particles.log_weights, self._used_share = tempered(
             particles.log_weights,
             result.log_likelihood,
             share,
             self._config.poles.effective_share_min * len(particles),
         )
-        weighed = mean_and_covariance(rear, particles.weights)
+        weighed = particles.moments
         steady = self._trusted and not self._odometry.doubted
         self._noise.add_correction(expected, weighed, self._used_share, steady)
         self._odometry.add_correction(scan.stamp_s, expected, weighed, trusted=self._trusted)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc
 from polemap.localize.odometry_watch import Held
+from polemap.localize.particle_filter.estimate import mean_and_covariance
 from polemap.localize.particle_filter.free_motion import FreeMotion
 from polemap.localize.particle_filter.motion_model import sample_motion
 from polemap.localize.particle_filter.odometry_faults import OdometryFaults
@@ -43,6 +44,8 @@ class ParticleSet:
         self._config = config
         self._wheelbase_m = wheelbase_m
         self._rng = rng
+        self._kept: dict[str, Floats] = {}
+        self._moments: tuple[Floats, Floats] | None = None
         self.poses = np.empty((0, 3))
         self.log_weights = np.empty(0)
         self._slips = np.empty(0)
@@ -52,17 +55,52 @@ class ParticleSet:
         self.faults = OdometryFaults(0, self._fault_rng)
 
     def __len__(self) -> int:
-        return len(self.poses)
+        return len(self._poses)
+
+    @property
+    def poses(self) -> Floats:
+        """Front-axle poses `(n, 3)`, read-only: what follows from them is kept."""
+        return self._poses
+
+    @poses.setter
+    def poses(self, poses: Floats) -> None:
+        self._poses = _read_only(poses)
+        self._kept.pop("rear", None)
+        self._moments = None
+
+    @property
+    def log_weights(self) -> Floats:
+        """`(n,)`, read-only."""
+        return self._log_weights
+
+    @log_weights.setter
+    def log_weights(self, log_weights: Floats) -> None:
+        self._log_weights = _read_only(log_weights)
+        self._kept.pop("weights", None)
+        self._moments = None
 
     @property
     def weights(self) -> Floats:
-        """`(n,)`, their sum is one."""
-        return normalized(self.log_weights)[0]
+        """`(n,)`, their sum is one; read-only."""
+        if "weights" not in self._kept:
+            self._kept["weights"] = _read_only(normalized(self._log_weights)[0])
+        return self._kept["weights"]
 
     @property
     def rear(self) -> Floats:
-        """Rear-axle poses `(n, 3)`."""
-        return move_reference_point(self.poses, -self._wheelbase_m)
+        """Rear-axle poses `(n, 3)`, read-only."""
+        if "rear" not in self._kept:
+            rear = move_reference_point(self._poses, -self._wheelbase_m)
+            self._kept["rear"] = _read_only(rear)
+        return self._kept["rear"]
+
+    @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean `(3,)` and covariance `(3, 3)` of the rear-axle poses, read-only."""
+        if self._moments is None:
+            mean, covariance = mean_and_covariance(self.rear, self.weights)
+            self._moments = _read_only(mean), _read_only(covariance)
+        return self._moments
 
     @property
     def slip_rad_per_mps2(self) -> float:
@@ -71,8 +109,9 @@ class ParticleSet:
 
     def place_all(self, rear: Floats, log_weights: Floats, slips: Floats | None = None) -> None:
         """Put all particles at rear-axle poses `(n, 3)`, with slips of any car if not told."""
-        self.poses = move_reference_point(rear, self._wheelbase_m)
-        self.poses[:, 2] = wrap_angle(self.poses[:, 2])
+        poses = move_reference_point(rear, self._wheelbase_m)
+        poses[:, 2] = wrap_angle(poses[:, 2])
+        self.poses = poses
         self.log_weights = log_weights
         if len(self.faults.faulty) != len(rear):
             self.faults = OdometryFaults(len(rear), self._fault_rng)
@@ -122,7 +161,7 @@ class ParticleSet:
         chosen = self._fault_rng.random(len(self)) < share
         along = np.where(chosen, (_ASTRAY_M + _ASTRAY_SHARE * way_m) * noise[0], 0.0)
         turn = np.where(chosen, min(_ASTRAY_RADPM * way_m, _ASTRAY_MAX_RAD) * noise[1], 0.0)
-        rear = self.rear
+        rear = self.rear.copy()
         rear[:, :2] += rotate(np.stack([along, 0.5 * way_m * turn], axis=1), rear[:, 2])
         rear[:, 2] += turn
         self.place_all(rear, self.log_weights, self._slips)
@@ -159,6 +198,12 @@ class ParticleSet:
         odometry = self._config.odometry
         mean, sd = odometry.rear_slip_rad_per_mps2, odometry.slip_sd_rad_per_mps2
         return np.abs(mean + sd * self._rng.standard_normal(count))
+
+
+def _read_only(values: Floats) -> Floats:
+    view = values.view()
+    view.setflags(write=False)
+    return view
 
 
 def normalized(log_weights: Floats) -> tuple[Floats, float]:

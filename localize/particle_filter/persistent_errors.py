@@ -154,17 +154,16 @@ class PersistentErrors:
 
     def _columns(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """First columns of the errors of map poles `(k,)`; of the others the last ones stay."""
-        again = np.isin(self._ids, ids)
-        unseen = np.flatnonzero(~again)
-        stay = np.concatenate(
-            [unseen[max(0, len(unseen) + len(ids) - _MOST) :], np.flatnonzero(again)]
-        )
-        known = self._ids[stay]
-        new = ids[~np.isin(ids, known)]
+        wanted, before = set(ids.tolist()), self._ids.tolist()
+        unseen = [i for i, pole in enumerate(before) if pole not in wanted]
+        again = [i for i, pole in enumerate(before) if pole in wanted]
+        stay = unseen[max(0, len(unseen) + len(ids) - _MOST) :] + again
+        known = [before[i] for i in stay]
+        new = sorted(wanted.difference(known), key=ids.tolist().index)
         kept = self._poles.reshape(3, -1, 2)[:, stay].reshape(3, -1)
         self._poles = np.hstack([kept, np.zeros((3, 2 * len(new)))])
-        self._ids = np.concatenate([known, new])
-        order = {pole: i for i, pole in enumerate(self._ids.tolist())}
+        self._ids = np.array(known + new, dtype=np.int64)
+        order = {pole: i for i, pole in enumerate(known + new)}
         return 2 * np.array([order[pole] for pole in ids.tolist()])
 
 

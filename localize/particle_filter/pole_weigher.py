@@ -110,14 +110,14 @@ class PoleWeigher:
         Source: Spangenberg (2016), equations (7) and (8).
         """
         landmarks = self.near(rear_poses, scan) if landmarks is None else landmarks
-        kinds = np.union1d(scan.kind, landmarks.kind)
+        kinds = _kinds_of(scan, landmarks)
         if len(kinds) < 2:
             return self._weigh_kind(rear_poses, scan, landmarks)
         parts = [
             self._weigh_kind(
                 rear_poses, scan.of_kinds(kind), landmarks.take(landmarks.kind == kind)
             )
-            for kind in kinds.tolist()
+            for kind in kinds
         ]
         return joint_likelihoods(parts)
 
@@ -143,9 +143,16 @@ class PoleWeigher:
         """Match a scan from a single rear-axle pose `(3,)`."""
         assignment = np.full(len(scan), -1, dtype=np.int32)
         parts: list[PoseLikelihoods] = []
-        kinds = np.union1d(scan.kind, landmarks.kind)
+        kinds = _kinds_of(scan, landmarks)
+        if len(kinds) == 1:
+            alone = self._weigh_kind(pose[np.newaxis], scan, landmarks, want_assignment=True)
+            assignment[:] = alone.assignment[0]
+            parts.append(alone)
+            kinds = []
         # a scan of no pole in a map of none misses nothing, and is a part all the same
-        for kind in kinds.tolist() or [int(LandmarkKind.POLE)]:
+        elif not kinds:
+            kinds = [int(LandmarkKind.POLE)]
+        for kind in kinds:
             mine, theirs = scan.kind == kind, np.flatnonzero(landmarks.kind == kind)
             part = self._weigh_kind(
                 pose[np.newaxis],
@@ -169,6 +176,11 @@ class PoleWeigher:
 
     def _view_of(self, scan: Detections) -> VisibleRegion:
         return scan.view if scan.view is not None else self._view
+
+
+def _kinds_of(scan: Detections, landmarks: Landmarks) -> list[int]:
+    """Kinds of which either has any, sorted; most often one, and asked for at every update."""
+    return sorted({*scan.kind.tolist(), *landmarks.kind.tolist()})
 
 
 def counted_share(moved_m: float, elapsed_s: float, config: PolesConfig) -> float:

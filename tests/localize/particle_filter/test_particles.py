@@ -159,3 +159,33 @@ def test_who_followed_an_odometry_for_a_while_is_led_off_as_well() -> None:
     assert not np.array_equal(never, motion.free)
     particles.drop_followers()
     assert particles.weights[never].sum() > 0.9
+
+
+def test_what_is_kept_of_the_particles_follows_them() -> None:
+    config = LocalizeConfig()
+    rng = np.random.default_rng(0)
+    particles = ParticleSet(config, 2.7, rng)
+
+    def check() -> None:
+        np.testing.assert_allclose(particles.rear[:, :2] + 2.7 * np.stack(
+            [np.cos(particles.poses[:, 2]), np.sin(particles.poses[:, 2])], axis=1
+        ), particles.poses[:, :2], atol=1e-12)  # fmt: skip
+        np.testing.assert_array_equal(particles.weights, normalized(particles.log_weights)[0])
+        for kept, fresh in zip(
+            particles.moments, mean_and_covariance(particles.rear, particles.weights), strict=True
+        ):
+            np.testing.assert_array_equal(kept, fresh)
+
+    particles.place_all(rng.normal(0.0, 1.0, (50, 3)), np.zeros(50))
+    check()
+    particles.log_weights = rng.normal(0.0, 1.0, 50)
+    check()
+    particles.poses = particles.poses + np.array([1.0, 2.0, 0.1])
+    check()
+    particles.resample_by_weight(1.0)
+    check()
+    particles.scatter(0.5, 10.0)
+    check()
+    for values in (particles.poses, particles.rear, particles.log_weights, particles.weights):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 1.0
