@@ -70,6 +70,7 @@ class _Start:
     variance_rad2: float
     odometry_pose: Floats
     travelled_m: float
+    turn_only: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,8 +184,14 @@ class OdometryCalibration:
         """The pose is not trusted: no stretch runs over it."""
         self._start = None
 
-    def learn_from_pose(self, stamp_s: float, pose: Floats, covariance: Floats) -> None:
-        """Offer a rear-axle pose that poles hold; a stretch ends at it when it is long enough."""
+    def learn_from_pose(
+        self, stamp_s: float, pose: Floats, covariance: Floats, *, turn_only: bool = False
+    ) -> None:
+        """Offer a rear-axle pose that poles hold; a stretch ends at it when it is long enough.
+
+        Args:
+            turn_only: lines hold it, which say nothing of the way.
+        """
         if not (self._config.learn_offsets and self._config.learn_from_poses):
             return
         end = _Start(
@@ -196,6 +203,7 @@ class OdometryCalibration:
             # that changes its speed drives another way in the delay of either end
             self._raw.odometry_pose(stamp_s),
             self._raw.travelled_m(stamp_s),
+            turn_only,
         )
         start = self._start
         if start is not None:
@@ -218,7 +226,8 @@ class OdometryCalibration:
         spread = float(row @ self._yaw_cov @ row) + noise
         if (error - expected) ** 2 < 16.0 * spread:
             self._update_yaw(row, error, noise)
-        if abs(stretch.turn_rad) < _STRETCH_TURN_RAD:
+        along = not (start.turn_only or end.turn_only)
+        if along and abs(stretch.turn_rad) < _STRETCH_TURN_RAD:
             # the length of the chord does not depend on the heading
             way = float(np.hypot(*(end.pose[:2] - start.pose[:2])))
             self._update_scale(way, stretch.chord_m, start.variance_m2 + end.variance_m2)

@@ -11,6 +11,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from polemap.drivelog.errors import ConfigError
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.vehicle.parameters import Car
 
@@ -18,6 +19,8 @@ from polemap.vehicle.parameters import Car
 ANY_SLIP_RAD_PER_MPS2 = 0.006
 # three degrees at 1 m/s^2: no tyre on a road is so soft
 SLIP_MAX_RAD_PER_MPS2 = 0.05
+
+KindName = Literal["pole", "corner", "lane_marking", "kerb", "facade"]
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid")
 
@@ -261,6 +264,12 @@ class LocalizeConfig(BaseModel):
         description="Additional turn where the car turns on 5 m, in that of alpha3 and without "
         "the bound of alpha4; not in the paper.",
     )
+    kinds: tuple[KindName, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Landmarks that count: pole, corner, lane_marking, kerb, facade. Left out: all "
+        "that the map holds.",
+    )
     estimate: Literal["mean", "best_mode"] = Field(
         "best_mode", description="The pose: mean of all particles, or of their heaviest mode."
     )
@@ -276,6 +285,12 @@ class LocalizeConfig(BaseModel):
     recovery: RecoveryConfig = RecoveryConfig()
     health: HealthConfig = HealthConfig()
     output: OutputConfig = OutputConfig()
+
+    @property
+    def chosen_kinds(self) -> frozenset[LandmarkKind]:
+        """Of `kinds`; all where they are left out."""
+        names = [kind.name.lower() for kind in LandmarkKind] if self.kinds is None else self.kinds
+        return frozenset(LandmarkKind[name.upper()] for name in names)
 
 
 def for_car(config: LocalizeConfig, car: Car | None) -> LocalizeConfig:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.tum import shortest, write_tum
+from polemap.localize.particle_filter.estimate import LineHealth
 from polemap.localize.replay import Run
 from polemap.parsing.json_text import plain_values
 
@@ -25,6 +26,8 @@ HEALTH_COLUMNS = (
     "match_share", "healthy", "event", "yaw_sd_rad", "yaw_rate_offset_radps", "speed_scale",
     "nis",
 )  # fmt: skip
+# of runs in a map that holds lines
+LINE_COLUMNS = ("lines_matched", "lines_seen", "lines_suspended")
 OUTPUT_COLUMNS = (
     "stamp_s", "speed_mps", "yaw_rate_radps", "var_east_m2", "var_north_m2", "cov_east_north_m2",
     "var_yaw_rad2", "pose_age_s", "jump_m", "flag", "healthy", "distrust", "east_m", "north_m",
@@ -71,10 +74,12 @@ def write_metrics(path: Path, metrics: Mapping[str, Any]) -> None:
 
 def _write_health(path: Path, run: Run) -> None:
     with atomic_file(path) as part, part.open("w", encoding="utf-8") as file:
-        file.write(",".join(HEALTH_COLUMNS) + "\n")
+        with_lines = any(update.estimate.health.lines is not None for update in run.updates)
+        columns = (*HEALTH_COLUMNS, *(LINE_COLUMNS if with_lines else ()))
+        file.write(",".join(columns) + "\n")
         for update in sorted(run.updates, key=lambda update: update.estimate.stamp_s):
             estimate, health = update.estimate, update.estimate.health
-            row = (
+            row: tuple[Any, ...] = (
                 health.stamp_s, health.matched, health.seen, health.in_view, health.n_eff,
                 health.position_sd_major_m, health.position_sd_minor_m, health.exploration_ratio,
                 update.decision, update.taken_s - health.stamp_s, health.particles,
@@ -82,6 +87,9 @@ def _write_health(path: Path, run: Run) -> None:
                 float(np.sqrt(estimate.covariance[2, 2])), health.yaw_rate_offset_radps,
                 health.speed_scale, update.nis if isfinite(update.nis) else "",
             )  # fmt: skip
+            if with_lines:
+                lines = health.lines or LineHealth()
+                row = (*row, lines.matched, lines.seen, " ".join(lines.suspended))
             file.write(",".join(map(_cell, row)) + "\n")
 
 

@@ -201,7 +201,7 @@ class Localizer:
                 f"exchange_map: the new map is in {pole_map.frame}, the localizer in "
                 f"{self._frame}; read it in that frame"
             )
-        if not len(pole_map):
+        if not len(pole_map) and not (isinstance(pole_map, PoleMap) and pole_map.lines):
             raise InputError("exchange_map: the new map holds no poles; keep the one there is")
         if isinstance(pole_map, PoleMap):
             _ = pole_map.tree  # built here, so that no scan waits for it
@@ -339,6 +339,9 @@ class Localizer:
         if isinstance(sample, Detections):
             usable = usable_poles(sample)
             self.counts["poles_not_usable"] += len(sample) - len(usable)
+            if sample.lines is not None and usable.lines is not None:
+                lost = len(sample.lines) - len(usable.lines)
+                self.counts.update({"lines_not_usable": lost} if lost else {})
             return usable
         if self._perception is None:
             raise InputError("a stereo frame was added, but this localizer has no perception")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from threading import Thread
 from typing import Protocol
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.map.city.city_map import CityMap
 from polemap.map.city.tiles import Area, box_around, inside
 from polemap.map.pole_map import PoleMap
@@ -45,6 +47,17 @@ class MapUser(Protocol):
         """Go on with other poles, of the same frame."""
 
 
+def of_kinds(pole_map: PoleMap, chosen: frozenset[LandmarkKind]) -> PoleMap:
+    """The landmarks of some kinds; the map itself where it holds no others."""
+    rows = np.isin(pole_map.kind, list(chosen))
+    if not rows.all():
+        pole_map = pole_map.rows(rows)
+    lines = pole_map.lines
+    if lines is not None and not (mine := np.isin(lines.kind, list(chosen))).all():
+        pole_map = replace(pole_map, lines=lines.take(mine))
+    return pole_map
+
+
 class MapWindow:
     """Poles around the car, of a map in memory or of a city's.
 
@@ -53,6 +66,7 @@ class MapWindow:
         counts: `map_windows` (squares read), `map_tiles_damaged` and `poles_beyond_window` (seen
             where the map is not read yet, or cannot be) are counted here.
         background: read by a thread; a scan never waits for the disk.
+        chosen: landmarks that count; the others of the map are left out.
 
     Attributes:
         poles: what to work with.
@@ -61,8 +75,10 @@ class MapWindow:
     """
 
     def __init__(
-        self, pole_map: PoleMap | CityMap, counts: Counter[str], *, background: bool
-    ) -> None:
+        self, pole_map: PoleMap | CityMap, counts: Counter[str], *, background: bool,
+        chosen: frozenset[LandmarkKind] = frozenset(LandmarkKind),
+    ) -> None:  # fmt: skip
+        self._chosen = chosen
         self._counts, self._background = counts, background
         self.users: list[MapUser] = []
         self.poles = PoleMap.empty(pole_map.frame)
@@ -148,17 +164,19 @@ class MapWindow:
         self._fresh = False  # whether `_area` is of this map
         if isinstance(pole_map, CityMap):
             self._city: CityMap | None = pole_map
-            self.kinds = pole_map.kinds
+            kinds = pole_map.kinds
         else:
-            self._city, self._area, self.poles = None, None, pole_map
-            self.kinds = tuple(np.unique(pole_map.kind).tolist())
+            self._city, self._area = None, None
+            self.poles = of_kinds(pole_map, self._chosen)
+            kinds = tuple(np.unique(self.poles.kind).tolist())
+        self.kinds = tuple(kind for kind in kinds if kind in self._chosen)
 
     def _show(self, load: _Load, city: CityMap) -> None:
         if load.error is not None:
             raise load.error
         assert load.area is not None
         self._area, self._fresh = load.area, True
-        self.poles = load.area.poles
+        self.poles = of_kinds(load.area.poles, self._chosen)
         self._counts["map_windows"] += 1
         if city.damaged:
             self._counts["map_tiles_damaged"] = len(city.damaged)

@@ -73,7 +73,7 @@ def check_inputs(drive: Drive, pole_map: PoleMap | CityMap | None, *, has_poles:
             f"map is in {pole_map.frame}, drive {drive.name} in {drive.frame}; use a map built in "
             "the drive's frame"
         )
-    if not len(pole_map):
+    if not len(pole_map) and not (isinstance(pole_map, PoleMap) and pole_map.lines):
         raise InputError("the map holds no poles; build it from a drive that saw some")
     if not has_poles:
         raise InputError(

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.landmark_kind import LINE_KINDS
+from polemap.drivelog.line_detections import LineDetections
 
 # what lies beyond is a unit or a bit that went wrong
 _FASTEST_MPS, _FASTEST_TURN_RADPS = 150.0, 100.0
@@ -13,6 +17,8 @@ _FARTHEST_M = 1000.0
 # a hundredth of a millimetre: no detector is surer than that in any direction, and a covariance
 # that is definite by its rounding alone pins a pole to a line
 _SMALLEST_VARIANCE_M2 = 1e-10
+# of a line: a piece that has no direction, and one that is surer than any survey
+_SHORTEST_M, _SMALLEST_SD = 0.05, 1e-5
 
 
 def usable_odometry(speed_mps: float, yaw_rate_radps: float) -> bool:
@@ -27,7 +33,8 @@ def usable_fix(east_m: float, north_m: float, hdop: float) -> bool:
 
 
 def usable_poles(scan: Detections) -> Detections:
-    """The scan with those of its poles that can be used: near, with a covariance that is one."""
+    """The scan with those of its poles that can be used: near, with a covariance that is one; the
+    same of its lines."""
     points, covariance = scan.points_vehicle_m, scan.covariance_m2
     # comparisons with what is not a number are false
     with np.errstate(over="ignore", invalid="ignore"):
@@ -39,4 +46,17 @@ def usable_poles(scan: Detections) -> Detections:
         # an unknown width is no fault, a wild one is
         width = np.isnan(scan.width_m) | (np.abs(scan.width_m) <= _FARTHEST_M)
         keep = near & small & definite & width & (scan.probability >= 0.0)
+    if scan.lines is not None and (lines := _usable_lines(scan.lines)) is not scan.lines:
+        scan = replace(scan, lines=lines)
     return scan if keep.all() else scan.take(keep)
+
+
+def _usable_lines(lines: LineDetections) -> LineDetections:
+    """Pieces of known kinds that are near, have a length, and state how sure they are."""
+    ends = np.hstack([lines.start_vehicle_m, lines.end_vehicle_m])
+    with np.errstate(over="ignore", invalid="ignore"):
+        keep = (np.abs(ends) <= _FARTHEST_M).all(axis=1) & (lines.length_m >= _SHORTEST_M)
+        for sd in (lines.offset_sd_m, lines.direction_sd_rad):
+            keep &= (sd >= _SMALLEST_SD) & (sd <= _FARTHEST_M)
+        keep &= (lines.probability >= 0.0) & np.isin(lines.kind, list(LINE_KINDS))
+    return lines if keep.all() else lines.take(keep)

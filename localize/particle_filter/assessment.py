@@ -17,6 +17,7 @@ from polemap.localize.particle_filter.detector_trust import DetectorTrust
 from polemap.localize.particle_filter.estimate import (
     Event,
     HealthRecord,
+    LineHealth,
     Mode,
     PfEstimate,
     best_pose,
@@ -25,6 +26,8 @@ from polemap.localize.particle_filter.estimate import (
 )
 from polemap.localize.particle_filter.health import PROVEN_SD_M
 from polemap.localize.particle_filter.landmarks import Landmarks
+from polemap.localize.particle_filter.line_evidence import LineEvidence
+from polemap.localize.particle_filter.line_modes import ridge_modes
 from polemap.localize.particle_filter.odometry_trust import OdometryTrust
 from polemap.localize.particle_filter.particles import ParticleSet, effective_count
 from polemap.localize.particle_filter.persistent_errors import PersistentErrors, at_least
@@ -33,6 +36,11 @@ from polemap.localize.particle_filter.recovery import Recovery, Step
 from polemap.localize.particle_filter.twins import TwinPoles
 
 Floats = NDArray[np.float64]
+
+# a place that is known along the street no better than this is none, however well it is known aside
+_RIDGE_MAX_M = 5.0
+# after so long a way without a pole what it put aside is put right by the lines
+_LINES_ALONE_M = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +78,18 @@ class Assessment:
 
     def __init__(
         self, config: LocalizeConfig, weigher: PoleWeigher, recovery: Recovery, fixes: FixWeights,
-        odometry: OdometryTrust, twins: TwinPoles, counts: Counter[str],
+        odometry: OdometryTrust, twins: TwinPoles, lines: LineEvidence, counts: Counter[str],
     ) -> None:  # fmt: skip
         self._config, self._counts = config, counts
         self._weigher, self._recovery, self._fixes = weigher, recovery, fixes
-        self._odometry, self._twins = odometry, twins
+        self._odometry, self._twins, self._lines = odometry, twins, lines
         self._detector = DetectorTrust(config.poles, counts)
         self.persistent = PersistentErrors(config.poles.position_floor_m)
         # what the odometry's calibration learns by: without what is only suspected
         self.learned_spread: Floats = np.eye(3)
+        # of the particles alone
+        self.particle_spread: Floats = np.eye(3)
+        self._matched_m = np.inf  # way since a pole was
 
     def estimate(
         self, done: Weighed, history: OdometryHistory, correction: OdometryCorrection
@@ -86,8 +97,9 @@ class Assessment:
         """The pose after a scan, its covariance and its health."""
         scan, particles = done.scan, done.particles
         pose, spread, modes, major, minor = self._pose(particles)
+        self.particle_spread = spread
         fit = self._weigher.match(pose, scan, done.landmarks)
-        spread, stated_m = self._stated(done, fit, pose, spread, major)
+        spread, stated_m, lines = self._stated(done, fit, pose, spread, major)
         self._recovery.lost.add_match(
             scan.stamp_s,
             fit.matched,
@@ -104,16 +116,20 @@ class Assessment:
         self.learned_spread = spread
         if hint_m > 0.0 and self._config.covariance != "particles":
             # stated, but nothing that is learned from the pose
-            spread = spread + np.diag([hint_m**2, hint_m**2, hint_rad**2])
+            spread = spread + self._hinted(hint_m, hint_rad, pose, fit.matched, done.step.moved_m)
         opinion = self._odometry.opinion(particles, fit.matched, done.step.elapsed_s)
         if opinion == "contradicted" and held:
             self._detector.odometry_contradicts()
         elif not self._recovery.strange.contradict and self._recovery.proof.proven:
             self._detector.place_proven(pose, done.step)
         limit_m = self._config.health.sd_max_m
+        self._judge_lines(done, lines, minor, major, len(modes))
         settled = self._recovery.proof.proven and len(modes) == 1
-        usable = settled and major <= limit_m and self._recovery.lost.fits and not unmatched
-        healthy = usable and not self._odometry.doubted and opinion != "contradicted"
+        known = major <= limit_m or (self._lines.hold and minor <= PROVEN_SD_M)
+        usable = settled and known and self._recovery.lost.fits and not unmatched
+        usable = usable and not self._lines.trust.doubted
+        healthy = usable and major <= limit_m
+        healthy = healthy and not self._odometry.doubted and opinion != "contradicted"
         healthy &= self._detector.believed and not self._recovery.far_from_fixes
         healthy &= bool(np.hypot(stated_m, hint_m) <= limit_m)
         health = HealthRecord(
@@ -133,18 +149,31 @@ class Assessment:
             evidence_share=done.share,
             yaw_rate_offset_radps=correction.yaw_rate_offset_radps,
             speed_scale=correction.speed_scale,
+            lines=lines,
         )
         return PfEstimate(
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, done.event,
             usable, opinion, self._detector.reason,
         )  # fmt: skip
 
+    def _hinted(
+        self, hint_m: float, hint_rad: float, pose: Floats, matched: int, moved_m: float
+    ) -> Floats:
+        """Covariance `(3, 3)` of what a detector that may be wrong moves the pose by."""
+        self._matched_m = 0.0 if matched else self._matched_m + moved_m
+        if self._lines.hold and self._matched_m > _LINES_ALONE_M:
+            # a turned camera turns lines about the car, and does not put them aside
+            along = hint_m * np.array([np.cos(pose[2]), np.sin(pose[2]), 0.0])
+            return np.outer(along, along) + np.diag([0.0, 0.0, hint_rad**2])
+        return np.diag([hint_m**2, hint_m**2, hint_rad**2])
+
     def _pose(self, particles: ParticleSet) -> tuple[Floats, Floats, list[Mode], float, float]:
         """Pose, covariance, modes, and the larger and smaller deviation of position."""
         rear, weights = particles.rear, particles.weights
         mean, covariance = particles.moments
         major, minor = position_sd(covariance)
-        modes = modes_of(rear, weights, mean, covariance)
+        find = ridge_modes if self._lines.in_use else modes_of
+        modes = find(rear, weights, mean, covariance)
         pose, spread = mean, covariance
         particles_alone = self._config.covariance == "particles"
         if self._config.estimate == "best_mode" and modes:
@@ -162,23 +191,40 @@ class Assessment:
 
     def _stated(
         self, done: Weighed, fit: Match, pose: Floats, spread: Floats, major: float
-    ) -> tuple[Floats, float]:
-        """Covariance that is nowhere below what errors that stay with the poles leave, and the
-        larger deviation of position."""
+    ) -> tuple[Floats, float, LineHealth | None]:
+        """Covariance that is nowhere below what errors that stay with the landmarks leave, the
+        larger deviation of position, and what the lines matched."""
         if self._config.covariance == "particles":
-            return spread, major
+            return spread, major, self._lines.assess(pose, None)
         if done.event == "initialized":
             self.persistent.start(done.before)
         self.persistent.add_fixes(done.before, self._fixes.information_per_m2)
         self.persistent.add_scan(
             done.before, done.scan, done.landmarks, pose, fit.assignment, done.share
         )
+        lines = self._lines.assess(pose, self.persistent)
         if done.event == "reinitialized":
             self.persistent.start(spread)
         stated = at_least(spread, self.persistent.covariance)
         if stated is spread:
-            return spread, major
-        return stated, max(major, position_sd(stated)[0])
+            return spread, major, lines
+        return stated, max(major, position_sd(stated)[0]), lines
+
+    def _judge_lines(
+        self, done: Weighed, lines: LineHealth | None, minor: float, major: float, modes: int
+    ) -> None:
+        """What lines say of the place, and poles of the lines."""
+        if lines is None:
+            return
+        if done.restarted:
+            self._lines.trust.forget()
+        elif self._recovery.held(done.scan.stamp_s):
+            self._lines.trust.confirm()
+        one = modes == 1 and minor <= PROVEN_SD_M and major <= _RIDGE_MAX_M
+        if not self._lines.trust.doubted:
+            self._recovery.proof.add_lines(
+                one_place=one, seen=lines.seen, matched=lines.matched, moved_m=done.step.moved_m
+            )
 
     def _judge_place(
         self, done: Weighed, fit: Match, pose: Floats, major: float, *, narrow: bool

@@ -29,6 +29,15 @@ class Mode:
 
 
 @dataclass(frozen=True, slots=True)
+class LineHealth:
+    """Pieces of mapped kinds, those that match a line, and kinds that are not believed."""
+
+    seen: int = 0
+    matched: int = 0
+    suspended: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class HealthRecord:
     """One row of health.csv, without what the output filter adds.
 
@@ -44,6 +53,7 @@ class HealthRecord:
         modes: clusters of particles above the least share.
         mode_share: weight of the best one.
         evidence_share: power that the scan's likelihood was raised to.
+        lines: the same of lines; None where the map holds none that count.
     """
 
     stamp_s: float
@@ -62,6 +72,7 @@ class HealthRecord:
     evidence_share: float
     yaw_rate_offset_radps: float
     speed_scale: float
+    lines: LineHealth | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from polemap.localize.odometry_watch import Held
 from polemap.localize.particle_filter.assessment import Assessment, Weighed
 from polemap.localize.particle_filter.estimate import Event, PfEstimate
 from polemap.localize.particle_filter.landmarks import Landmarks
+from polemap.localize.particle_filter.line_evidence import LineEvidence
 from polemap.localize.particle_filter.motion_noise import NoiseScale
 from polemap.localize.particle_filter.odometry_faults import demand
 from polemap.localize.particle_filter.odometry_trust import OdometryTrust
@@ -72,7 +73,10 @@ class ParticleFilter:
     ) -> None:
         receiver = receiver or GnssReceiver(config=config.gnss)
         self.counts: Counter[str] = Counter()
-        self._window = MapWindow(pole_map, self.counts, background=load_in_background)
+        chosen = config.chosen_kinds
+        self._window = MapWindow(
+            pole_map, self.counts, background=load_in_background, chosen=chosen
+        )
         poles = self._window.poles
         self._weigher = PoleWeigher(poles, config)
         self._landmarks = Landmarks.of(poles, config.p_detection, np.empty(0, dtype=np.int64))
@@ -94,10 +98,12 @@ class ParticleFilter:
         self._trusted = False
         self._odometry = OdometryTrust(config.odometry)
         twins = TwinPoles(poles)
-        self._window.users += [self._weigher, self._recovery, twins]
+        self._lines = LineEvidence(poles, config, self.counts)
+        self._window.users += [self._weigher, self._recovery, twins, self._lines]
         self._assessment = Assessment(
-            config, self._weigher, self._recovery, self._fixes, self._odometry, twins, self.counts
-        )
+            config, self._weigher, self._recovery, self._fixes, self._odometry, twins, self._lines,
+            self.counts,
+        )  # fmt: skip
         # of the last estimate
         self._pose, self._odometry_pose = np.zeros(3), np.zeros(3)
 
@@ -239,6 +245,9 @@ class ParticleFilter:
             particles.log_weights, particles.rear, stamp, self._history
         )
         before_scan = self._weigh_scan(scan, share)
+        self._lines.weigh(
+            particles, scan, step.moved_m, step.elapsed_s, self._assessment.persistent.covariance
+        )
         if event is None:
             event = self._recovery.recover(particles, scan, odometry_pose, self._scan_evidence)
             if event == "reinitialized":
@@ -255,7 +264,10 @@ class ParticleFilter:
         self._recovery.inject(particles, scan, odometry_pose)
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
-        if not self._trusted:
+        if not self._trusted and estimate.usable and self._lines.hold:
+            spread = self._assessment.particle_spread
+            self._calibration.learn_from_pose(stamp, estimate.pose, spread, turn_only=True)
+        elif not self._trusted:
             self._calibration.interrupt()
         elif estimate.health.matched >= 2:
             self._calibration.learn_from_pose(stamp, estimate.pose, self._assessment.learned_spread)

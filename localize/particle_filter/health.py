@@ -21,6 +21,8 @@ _FAR_SD = 5.0
 PROVEN_SD_M, PROVEN_AFTER_M = 0.5, 25.0
 """A narrow particle set that finds poles where it expects them for so many metres is where it says:
 none of 636 simulated starts claimed a wrong pose."""
+LINES_PROVEN_AFTER_M = 100.0
+"""A single ridge of particles whose lines fit for so many metres is in the lane where it says."""
 # least share of the poles that could match and do: a third, where p_detection lets two thirds hope
 _FIT_SHARE_MIN = 0.34
 _HOPE = 0.5  # where fewer matches could be hoped for, none says nothing
@@ -131,20 +133,20 @@ class StartProof:
 
     def __init__(self, config: RecoveryConfig) -> None:
         self._config = config
-        self._upheld_m = 0.0
+        self._upheld_m = self._lines_m = 0.0
         self._fitting = 1.0
         self.proven = self.was_proven = False
         self.contradicted = False
 
     def begin(self) -> None:
         """A new start: nothing is known."""
-        self._upheld_m = 0.0
+        self._upheld_m = self._lines_m = 0.0
         self._fitting = 1.0
         self.proven = self.was_proven = self.contradicted = False
 
     def doubt(self) -> None:
         """Poles contradict the place: it must be proven again."""
-        self._upheld_m = 0.0
+        self._upheld_m = self._lines_m = 0.0
         self.proven = False
 
     def believe(self) -> None:
@@ -191,6 +193,21 @@ class StartProof:
         elif possible > _HOPE:
             self._upheld_m = max(0.0, self._upheld_m - moved_m)
         self.proven |= verdict == "confirmed" or self._upheld_m >= PROVEN_AFTER_M
+        self.was_proven |= self.proven
+
+    def add_lines(self, *, one_place: bool, seen: int, matched: int, moved_m: float) -> None:
+        """Take in the lines of a scan: where no pole says where the car is, a single ridge of
+        particles whose lines have fitted for long enough is aside of the street where it says.
+
+        Args:
+            one_place: particles lie on one ridge, narrow across.
+            seen, matched: pieces of lines.
+        """
+        if not one_place or 2 * matched < seen:
+            self._lines_m = 0.0
+        elif matched:
+            self._lines_m += moved_m
+        self.proven |= self._lines_m >= LINES_PROVEN_AFTER_M
         self.was_proven |= self.proven
 
 

@@ -38,6 +38,7 @@ class PersistentErrors:
     Attributes:
         covariance: `(3, 3)` of the pose's error: east, north, yaw.
         floor_m: standard deviation of every seen position besides what its detector states.
+        lines, line_ids: `(3, m)` of the pose's error with errors of lines, see `line_errors.py`.
 
     Source: Gelb (1974), "Applied Optimal Estimation", section 7.2; Schmidt's consider states.
     """
@@ -49,12 +50,15 @@ class PersistentErrors:
     _odometry: Floats = field(default_factory=lambda: np.zeros((3, 2)))
     _poles: Floats = field(default_factory=lambda: np.zeros((3, 0)))
     _ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    lines: Floats = field(default_factory=lambda: np.zeros((3, 0)))
+    line_ids: list[int] = field(default_factory=list)
 
     def start(self, covariance: Floats) -> None:
         """A new place, known by a covariance `(3, 3)`."""
         self.covariance = np.array(covariance, dtype=np.float64)
         self._odometry = np.zeros((3, 2))
         self._poles, self._ids = np.zeros((3, 0)), np.empty(0, dtype=np.int64)
+        self.lines, self.line_ids = np.zeros((3, 0)), []
 
     def move(
         self, before: Floats, after: Floats, elapsed_s: float, sd: tuple[float, float]
@@ -83,6 +87,7 @@ class PersistentErrors:
         )  # fmt: skip
         self._odometry = led + lasting
         self._poles = transition @ self._poles
+        self.lines = transition @ self.lines
 
     def add_fixes(self, particles: Floats, information_per_m2: float) -> None:
         """Fixes have moved particles of covariance `(3, 3)`, which is that after them."""
@@ -91,7 +96,7 @@ class PersistentErrors:
         gain = particles[:, :2] * information_per_m2
         kept = np.eye(3)
         kept[:, :2] -= gain
-        self._keep(kept)
+        self.keep(kept)
         self.covariance += gain @ gain.T / information_per_m2
 
     def add_scan(
@@ -140,17 +145,19 @@ class PersistentErrors:
         led = kept @ self._poles
         # neighbouring scans share the other part too, which the power of the scan counts for
         white = _blocks((1.0 - _SHARE) / share * seen)
-        self._keep(kept)
+        self.keep(kept)
         self.covariance = symmetric(
             self.covariance + gain @ white @ gain.T
             + moved @ moved.T - led @ moved.T - moved @ led.T
         )  # fmt: skip
         self._poles = self._poles - moved
 
-    def _keep(self, kept: Floats) -> None:
+    def keep(self, kept: Floats) -> None:
+        """A measurement has left so much `(3, 3)` of the pose's error."""
         self.covariance = kept @ self.covariance @ kept.T
         self._odometry = kept @ self._odometry
         self._poles = kept @ self._poles
+        self.lines = kept @ self.lines
 
     def _columns(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """First columns of the errors of map poles `(k,)`; of the others the last ones stay."""
