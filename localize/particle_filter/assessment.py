@@ -114,9 +114,10 @@ class Assessment:
         self._check_detector(done, pose, history, narrow=narrow, held=held)
         hint_m, hint_rad = self._detector.check.calibration_sd
         self.learned_spread = spread
+        self._matched_m = 0.0 if fit.matched else self._matched_m + done.step.moved_m
         if hint_m > 0.0 and self._config.covariance != "particles":
             # stated, but nothing that is learned from the pose
-            spread = spread + self._hinted(hint_m, hint_rad, pose, fit.matched, done.step.moved_m)
+            spread = spread + self._hinted(hint_m, hint_rad, pose)
         opinion = self._odometry.opinion(particles, fit.matched, done.step.elapsed_s)
         if opinion == "contradicted" and held:
             self._detector.odometry_contradicts()
@@ -156,11 +157,8 @@ class Assessment:
             usable, opinion, self._detector.reason,
         )  # fmt: skip
 
-    def _hinted(
-        self, hint_m: float, hint_rad: float, pose: Floats, matched: int, moved_m: float
-    ) -> Floats:
+    def _hinted(self, hint_m: float, hint_rad: float, pose: Floats) -> Floats:
         """Covariance `(3, 3)` of what a detector that may be wrong moves the pose by."""
-        self._matched_m = 0.0 if matched else self._matched_m + moved_m
         if self._lines.hold and self._matched_m > _LINES_ALONE_M:
             # a turned camera turns lines about the car, and does not put them aside
             along = hint_m * np.array([np.cos(pose[2]), np.sin(pose[2]), 0.0])

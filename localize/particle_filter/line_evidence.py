@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.line_detections import LineDetections
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.particle_filter.estimate import LineHealth, mean_and_covariance
+from polemap.localize.particle_filter.estimate import LineHealth
 from polemap.localize.particle_filter.line_errors import add_lines
 from polemap.localize.particle_filter.line_trust import LineTrust
 from polemap.localize.particle_filter.line_weigher import LineWeigher, line_share
@@ -99,7 +99,7 @@ class LineEvidence:
         if not len(lines):
             return
         rear = particles.rear
-        pose, before = mean_and_covariance(rear, particles.weights)
+        pose, before = particles.moments
         share = 1.0 if self._independent else line_share(moved_m, elapsed_s)
         kinds = np.unique(lines.kind).tolist()
         nearest = self._weigher.match(pose, lines, nearest=True)
