@@ -1,4 +1,4 @@
-"""Builds the three C++17 kernels where a compiler is found, and goes on without them elsewhere."""
+"""Builds the four C++17 kernels where a compiler is found, and goes on without them elsewhere."""
 
 from pathlib import Path
 
@@ -11,6 +11,7 @@ KERNELS = {
         "polemap.stereo.native.census_kernel",
         "polemap.localize.particle_filter.native.assignment_kernel",
         "polemap.simulate.native.shading_kernel",
+        "polemap.detect.native.pieces_kernel",
     )
 }
 # Python's own flags bring -fwrapv, under which GCC 12 no longer vectorises the matcher's loops:

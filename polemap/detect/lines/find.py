@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 
 OFFSET_SD_MAX_M = 0.2  # what is known worse helps nobody
 PROBABILITY_MIN = 0.4
-_OFFSET_SD_M = {LandmarkKind.LANE_MARKING: 0.02, LandmarkKind.KERB: 0.03}
-_DIRECTION_SD_RAD = {LandmarkKind.LANE_MARKING: 0.004, LandmarkKind.KERB: 0.008}
+_OFFSET_SD_M = {LandmarkKind.LANE_MARKING: 0.025, LandmarkKind.KERB: 0.03}
+_DIRECTION_SD_RAD = {LandmarkKind.LANE_MARKING: 0.005, LandmarkKind.KERB: 0.008}
 _ROWS_ALIKE = 3.0  # neighbouring rows err alike
 _LEAST_ACROSS_M = 0.8  # a car's half width: no kerb passes under it
 _BRIDGED_M = 0.3

@@ -20,13 +20,13 @@ Floats32 = NDArray[np.float32]
 STEP_MIN_M, STEP_MAX_M = 0.05, 0.25
 _REACH = round(0.4 / STEP_ASIDE_M)  # columns from the step to the middle of its sides
 HEIGHT_SD_PX = 0.25  # of a side's mean height, as a disparity: the matcher's streaks along columns
-NOISE_SDS = 4.0
+NOISE_SDS = 5.0
 _FINE_BOX = (3, 3)
 _FLAT_M, _FLAT_SHARE = 0.03, 0.35  # of the step; how much the sides themselves may rise
 UPRIGHT_AT_M = (0.35, 0.55)  # over the edge
 UPRIGHT_SHARE = 0.9  # of its disparity: nothing but what stands there has as much
-_BLUNT_M = 0.3  # between a quarter and three quarters of the step, beside what the face covers
-_LOW_M = 0.25  # the lower side is road: it lies near the plane
+_BLUNT_M = 0.45  # between a quarter and three quarters of the step, beside what the face covers
+_LOW_M = 0.12  # the lower side is road: it lies near the plane
 
 
 @dataclass(frozen=True, slots=True)

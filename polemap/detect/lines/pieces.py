@@ -11,12 +11,20 @@ CACM 15(1), 1972; here in slope and offset, since lines along the road are never
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.detect.lines.road_frame import ASIDE_M, FAR_M, NEAR_M, ROWS, STEP_AHEAD_M
+
+try:
+    pieces_kernel: Any = import_module("polemap.detect.native.pieces_kernel")
+    HAVE_KERNEL = True
+except ImportError:  # no compiler at install time: the plain way serves
+    HAVE_KERNEL = False
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -28,7 +36,8 @@ LEAST_SHARE = 0.7  # of a piece's rows that show it
 GAP_M = 1.0  # a longer one ends a piece
 RMS_MAX_M = 0.06
 
-_SLOPES = np.linspace(-0.4, 0.4, 17)
+_SLOPE_MAX = 0.4
+_SLOPES = np.linspace(-_SLOPE_MAX, _SLOPE_MAX, 17)
 _BIN_M = 0.12
 _BINS = int(2.0 * (ASIDE_M + 2.0) / _BIN_M)
 _STRIDE_M = 0.5 * WINDOW_M
@@ -40,6 +49,14 @@ _TRIES = 16  # bounds the time of a frame
 _PROMISING = 1.1  # with what lies behind a gap a piece may scatter a little more
 _SHORTEST = round(LEAST_LENGTH_M / STEP_AHEAD_M)
 _LEAST_POINTS = int(LEAST_SHARE * LEAST_LENGTH_M / STEP_AHEAD_M)
+_SETTINGS: dict[str, float] = {
+    "near_m": NEAR_M, "step_ahead_m": STEP_AHEAD_M, "aside_m": ASIDE_M, "bin_m": _BIN_M,
+    "window_m": WINDOW_M, "take_m": _TAKE_M, "clear_m": _CLEAR_M, "gap_m": GAP_M,
+    "rms_max_m": RMS_MAX_M, "least_length_m": LEAST_LENGTH_M, "least_share": LEAST_SHARE,
+    "promising": _PROMISING, "slope_max": _SLOPE_MAX, "rows": ROWS, "windows": _WINDOWS,
+    "bins": _BINS, "slopes": len(_SLOPES), "tries": _TRIES, "least_points": _LEAST_POINTS,
+    "least_rows": LEAST_ROWS, "shortest": _SHORTEST,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +94,18 @@ def straight_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
     """Pieces among points `(n, 2)` of the road frame, those with most points first.
 
     `source_row` `(n,)` is the row of the image or map that showed each: rows of the grid that share
-    one say nothing twice.
+    one say nothing twice. The C++ kernel does the work where it was built.
     """
     if len(points_m) < LEAST_ROWS:
         return []
+    if not HAVE_KERNEL:
+        return plain_pieces(points_m, source_row)
+    found = pieces_kernel.straight_pieces(points_m, source_row, _SETTINGS)
+    return [Piece(*values) for values in found]
+
+
+def plain_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
+    """`straight_pieces` in plain numpy, the tests' oracle."""
     x, y = points_m.T
     votes, middle = _vote(x, y)
     peaks = (votes == cv2.dilate(votes, _NEIGHBOURS)) & (votes >= 0.8 * _LEAST_POINTS)
