@@ -67,7 +67,9 @@ class CameraTrack:
     def odometry(self) -> OdometryStream:
         """The known steps as a drive's odometry."""
         rows = self.planar
-        return OdometryStream(rows.stamp_s, rows.arrival_s, rows.speed_mps, rows.yaw_rate_radps)
+        return OdometryStream(
+            rows.stamp_s, rows.arrival_s, rows.speed_mps, rows.yaw_rate_radps, rows.lateral_mps
+        )
 
 
 def track_camera(drive: Drive, advance: Callable[[int], None]) -> CameraTrack:

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal, get_args
 
+import numpy as np
+
 from polemap.drivelog.camera_motion import CameraTrack, track_camera
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.odometry_fusion import fuse_odometry
 from polemap.drivelog.readers.derived import ODOMETRY_NOTE
+from polemap.drivelog.streams import OdometryStream
 
 OdometryChoice = Literal["auto", "wheels", "camera", "both", "derived"]
 
@@ -69,7 +72,7 @@ def with_odometry(
     if source == "camera":
         note = f"odometry is the stereo camera's ({steps}{unknown})"
         notes = (*(n for n in drive.notes if n != ODOMETRY_NOTE), note)
-        stream = track.odometry()
+        stream = _for_poles_of(drive, track.odometry())
         names = replace(drive.names, odometry="the camera's odometry")
         return replace(
             drive, odometry=stream, odometry_is_derived=False, odometry_is_cameras=True,
@@ -83,7 +86,15 @@ def with_odometry(
         f"{fused.replaced} steps where wheels contradict the camera, {fused.filled} holes filled"
         + (f", {fused.refused} steps of the camera refused" if fused.refused else "")
     )
-    return replace(drive, odometry=fused.stream, notes=(*drive.notes, note))
+    stream = _for_poles_of(drive, fused.stream)
+    return replace(drive, odometry=stream, notes=(*drive.notes, note))
+
+
+def _for_poles_of(drive: Drive, odometry: OdometryStream) -> OdometryStream:
+    """The course that a camera sees says nothing of another detector, whose poles lie there."""
+    if not drive.scans:
+        return odometry
+    return odometry.with_columns(lateral_mps=np.full(len(odometry), np.nan))
 
 
 def _unknown(track: CameraTrack) -> str:

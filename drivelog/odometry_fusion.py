@@ -68,6 +68,11 @@ def fuse_odometry(wheels: OdometryStream, camera: CameraTrack) -> FusedOdometry:
     before = np.searchsorted(wheels.stamp_s, ends, side="left")
     speed, yaw_rate = np.array(wheels.speed_mps), np.array(wheels.yaw_rate_radps)
     arrival = np.array(wheels.arrival_s)
+    # what the camera sees of the speed aside goes with the first sample after its picture
+    lateral = np.full(len(speed), np.nan)
+    heard = np.searchsorted(wheels.arrival_s, steps.arrival_s)
+    in_time = heard < len(speed)
+    lateral[heard[in_time]] = steps.lateral_mps[in_time]
     of_scale = _WHEEL_SCALE_SD**2 / (_WHEEL_SCALE_SD**2 + _CAMERA_SCALE_SD**2)
     scale, offset = 1.0, 0.0
     scale_var = _WHEEL_SCALE_SD**2 + _CAMERA_SCALE_SD**2
@@ -126,6 +131,7 @@ def fuse_odometry(wheels: OdometryStream, camera: CameraTrack) -> FusedOdometry:
         np.concatenate([arrival, steps.arrival_s[rows]])[keep],
         np.concatenate([speed, steps.speed_mps[rows]])[keep],
         np.concatenate([yaw_rate, steps.yaw_rate_radps[rows]])[keep],
+        np.concatenate([lateral, steps.lateral_mps[rows]])[keep],
     )
     return FusedOdometry(stream, scale**of_scale, offset, replaced, len(rows), refused)
 

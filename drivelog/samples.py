@@ -7,6 +7,7 @@ it reached the computer; where a drive does not know the latter it equals the fo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +32,17 @@ class StereoFrame:
 
 @dataclass(frozen=True, slots=True)
 class OdometrySample:
-    """Rear-axle speed (forward positive) and yaw rate (counter-clockwise positive)."""
+    """Rear-axle speed (forward positive) and yaw rate (counter-clockwise positive).
+
+    `lateral_mps` is the rear axle's speed to the left in the eyes of the camera that the poles are
+    seen with; NaN where that does not tell the odometry.
+    """
 
     stamp_s: float
     arrival_s: float
     speed_mps: float
     yaw_rate_radps: float
+    lateral_mps: float = nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,17 +32,24 @@ class OdometryCorrection:
             np.maximum(stream.arrival_s, stamps),
             stream.speed_mps / self.speed_scale,
             stream.yaw_rate_radps,
+            stream.lateral_mps / self.speed_scale,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryStream(Columns):
-    """Wheel odometry; every array `(n,)`, sorted by `stamp_s`."""
+    """Odometry; every array `(n,)`, sorted by `stamp_s`; see `OdometrySample`."""
 
     stamp_s: Floats
     arrival_s: Floats
     speed_mps: Floats
     yaw_rate_radps: Floats
+    lateral_mps: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if not len(self.lateral_mps):
+            object.__setattr__(self, "lateral_mps", np.full(len(self.stamp_s), np.nan))
+        Columns.__post_init__(self)
 
     def sample(self, row: int) -> OdometrySample:
         """The sample of a row."""
@@ -51,6 +58,7 @@ class OdometryStream(Columns):
             float(self.arrival_s[row]),
             float(self.speed_mps[row]),
             float(self.yaw_rate_radps[row]),
+            float(self.lateral_mps[row]),
         )
 
 

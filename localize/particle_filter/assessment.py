@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.samples import OdometrySample
 from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.gnss.particle_weights import FixWeights
@@ -83,13 +84,17 @@ class Assessment:
         self._config, self._counts = config, counts
         self._weigher, self._recovery, self._fixes = weigher, recovery, fixes
         self._odometry, self._twins, self._lines = odometry, twins, lines
-        self._detector = DetectorTrust(config.poles, counts)
+        self._detector = DetectorTrust(config, counts)
         self.persistent = PersistentErrors(config.poles.position_floor_m)
         # what the odometry's calibration learns by: without what is only suspected
         self.learned_spread: Floats = np.eye(3)
         # of the particles alone
         self.particle_spread: Floats = np.eye(3)
         self._matched_m = np.inf  # way since a pole was
+
+    def add_course(self, odometry: OdometrySample, travelled_m: float) -> None:
+        """Take in which way the car goes in the eyes of its detector; see `DetectorCourse`."""
+        self._detector.check.course.add_step(odometry, travelled_m)
 
     def estimate(
         self, done: Weighed, history: OdometryHistory, correction: OdometryCorrection

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
-from polemap.localize.config import PolesConfig
+from polemap.localize.config import ANY_SLIP_RAD_PER_MPS2, PolesConfig
+from polemap.localize.particle_filter.detector_course import DetectorCourse
 from polemap.localize.particle_filter.detector_fit import (
     TOLERANCE,
     Change,
@@ -71,10 +72,14 @@ class DetectorCheck:
 
     Attributes:
         fit: of the longest stretch at the last look; None before the first.
+        course: of the car, as the detector's camera sees it.
     """
 
-    def __init__(self, config: PolesConfig) -> None:
+    def __init__(
+        self, config: PolesConfig, slip_rad_per_mps2: float = ANY_SLIP_RAD_PER_MPS2
+    ) -> None:
         self._config = config
+        self.course = DetectorCourse(slip_rad_per_mps2)
         self._looks: list[Look] = []
         self._fitted_m = -np.inf
         # which of `KINDS` is wrong, by how much, and since where that is refuted
@@ -103,12 +108,15 @@ class DetectorCheck:
         """`hinted_sd`, and by how much the turn may exceed what is tolerated.
 
         A turned detector shows on some way only, and one that turns slowly late; until then it
-        moves the pose aside by as much of the poles' distance. Ranges are asked for at the start,
-        stamps move it along a little.
+        moves the pose aside by as much of the poles' distance. Its camera's own course, where there
+        is one, shows it within metres. Ranges are asked for at the start, stamps move it along a
+        little.
         """
         excess = _MET_SD[0]
         if self.fit is not None:
             excess = abs(self.fit.values[0]) + self.fit.sd[0] - TOLERANCE[0]
+        elif (told := self.course.turn(-np.inf)) is not None:
+            excess = abs(told[0]) + told[1] - TOLERANCE[0]
         possible = np.array([np.clip(excess, 0.0, _MET_SD[0]), 0.0, 0.0])
         return self._moved_by(np.hypot(self._hint, possible))
 
@@ -204,6 +212,11 @@ class DetectorCheck:
         stretch = Stretch(looks, pose)
         self._hint = np.where(self._hint > 0.1 * TOLERANCE, _HINT_KEPT * self._hint, 0.0)
         change = stretch.change()
+        if change is not None:
+            at_m = looks[change.look].travelled_m
+            change = change.with_turn(
+                self.course.turn(looks[0].travelled_m, at_m), self.course.turn(at_m)
+            )
         if change is not None and self._changed(change):
             # what was seen before the change is of another detector
             del looks[: change.look]
@@ -214,7 +227,8 @@ class DetectorCheck:
             since_m = travelled_m - length_m
             if np.count_nonzero(ways >= since_m) < _LEAST_LOOKS:
                 continue
-            fit = self.fit = stretch.fit(since_m)
+            told = self.course.turn(max(since_m, looks[0].travelled_m))
+            fit = self.fit = stretch.fit(since_m).with_turn(told)
             sd = np.hypot(fit.sd, _UNEXPLAINED)
             excess = (np.abs(fit.values) - TOLERANCE) / sd
             if excess.max() - limit_sd > worst:

@@ -37,6 +37,9 @@ _JUMP_RAD, _JUMP_SHARE, _NEAR_M = 0.0035, 0.05, 5.0
 _BEND_RADM = 0.1
 # a change is told by so many poles before and after it, in so many scans, and within so long a way
 _LEAST_BEFORE, _LEAST_POLES, _LEAST_SCANS, _RECENT_M = 8, 4, 3, 45.0
+# what the camera's own course says of the turn counts unless it contradicts the poles: then only
+# they are wrong
+_AGREE_SD = 3.0
 _FIRST = len(_PLACE_SD) + len(_ODOMETRY_SD)
 _COMMON = _FIRST + len(_CALIBRATION_SD)
 
@@ -81,6 +84,14 @@ class StretchFit:
     sd: Floats
     looks: int
 
+    def with_turn(self, told: tuple[float, float] | None) -> StretchFit:
+        """The fit and what else tells the turn, with its standard deviation, together."""
+        if told is None:
+            return self
+        values, sd = self.values.copy(), self.sd.copy()
+        values[0], sd[0] = _joined((float(values[0]), float(sd[0])), told)
+        return StretchFit(values, sd, self.looks)
+
 
 @dataclass(frozen=True, slots=True)
 class Change:
@@ -96,6 +107,15 @@ class Change:
     kind: int
     value: float
     sd: float
+
+    def with_turn(
+        self, before: tuple[float, float] | None, after: tuple[float, float] | None
+    ) -> Change:
+        """The change and what else tells the turn before and after it, together."""
+        if self.kind or before is None or after is None:
+            return self
+        told = after[0] - before[0], float(np.hypot(after[1], before[1]))
+        return Change(self.look, self.kind, *_joined((self.value, self.sd), told))
 
 
 class Stretch:
@@ -226,6 +246,15 @@ class Stretch:
         total = np.zeros((self._looks, len(self._seen.member), 2))
         np.add.at(total, (self._k, self._column), rows)
         return np.cumsum(total[::-1], axis=0)[::-1]
+
+
+def _joined(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    """Mean of two estimates and its standard deviation; the first alone where they disagree."""
+    (a, a_sd), (b, b_sd) = one, other
+    if abs(a - b) > _AGREE_SD * np.hypot(a_sd, b_sd):
+        return one
+    variance = 1.0 / (1.0 / a_sd**2 + 1.0 / b_sd**2)
+    return variance * (a / a_sd**2 + b / b_sd**2), float(np.sqrt(variance))
 
 
 def _fit_of(solved: Solution, chosen: slice, prior: Floats) -> StretchFit:

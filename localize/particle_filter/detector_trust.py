@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
-from polemap.localize.config import PolesConfig
+from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import OdometryHistory
 from polemap.localize.particle_filter.detector_check import DetectorCheck
 from polemap.localize.particle_filter.landmarks import Landmarks
@@ -28,8 +28,8 @@ class DetectorTrust:
     odometry has led to meanwhile: then it was the map, as where it ends.
     """
 
-    def __init__(self, config: PolesConfig, counts: Counter[str]) -> None:
-        self.check = DetectorCheck(config)
+    def __init__(self, config: LocalizeConfig, counts: Counter[str]) -> None:
+        self.check = DetectorCheck(config.poles, config.odometry.rear_slip_rad_per_mps2)
         self._counts = counts
         # pose, odometry's pose and way where poles began to contradict the place
         self._left: tuple[Floats, Floats, float] | None = None

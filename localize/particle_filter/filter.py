@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,10 +140,12 @@ class ParticleFilter:
         """
         if held is not None:
             self._calibration.distrust()
-        odometry = self._odometry.believed(odometry, held)
-        corrected = self._calibration.correct(odometry)
+        believed = self._odometry.believed(odometry, held)
+        corrected = self._calibration.correct(believed)
         if not self._history.append(corrected):
             self.counts["odometry_dropped"] += 1
+        elif isfinite(odometry.lateral_mps):
+            self._assessment.add_course(odometry, self._history.travelled_m(odometry.stamp_s))
 
     def add_fix(self, fix: GnssFix) -> None:
         """Take in a fix; those that are not finite or not newer are counted and dropped."""

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from polemap.drivelog.camera_motion import CameraTrack, PlanarMotion
+from polemap.drivelog.detections import pole_detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import ConfigError, InputError
 from polemap.drivelog.frames import EarthFrame
@@ -195,3 +196,27 @@ def test_a_camera_that_tells_nothing_is_refused(tmp_path: Path) -> None:
     blind = replace(blind, planar=blind.planar.take(slice(0, 0)), unknown={"too few corners": 599})
     with pytest.raises(InputError, match="599 x too few corners"):
         with_odometry(_drive(tmp_path, wheels=False), "camera", lambda _: blind)
+
+
+@pytest.mark.parametrize("choice", ["camera", "both"])
+def test_the_cameras_course_goes_with_its_odometry_but_not_with_other_detectors_poles(
+    tmp_path: Path, choice: str
+) -> None:
+    track = _camera()
+    aside = np.full(len(track.planar), 0.1)
+    track = replace(track, planar=track.planar.with_columns(lateral_mps=aside))
+    drive = _drive(tmp_path, wheels=True)
+    seen = with_odometry(drive, choice, lambda _: track).odometry
+    assert seen is not None
+    told = np.flatnonzero(np.isfinite(seen.lateral_mps))
+    assert len(told) == pytest.approx(len(aside), abs=2)
+    assert set(seen.lateral_mps[told]) == {0.1}
+    # no sample knows it before its picture is there
+    later = np.searchsorted(track.planar.arrival_s, seen.arrival_s[told], side="right")
+    assert np.all(later >= np.arange(1, len(told) + 1))
+    other = replace(
+        drive, scans=(pole_detections(0.0, 0.0, np.zeros((1, 2)), np.zeros((1, 2, 2))),)
+    )
+    elsewhere = with_odometry(other, choice, lambda _: track).odometry
+    assert elsewhere is not None
+    assert np.isnan(elsewhere.lateral_mps).all()

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections, pole_detections
 from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.drivelog.samples import OdometrySample
 from polemap.localize.config import PolesConfig
 from polemap.localize.particle_filter.detector_check import KINDS, DetectorCheck
 from polemap.localize.particle_filter.landmarks import Landmarks
@@ -196,10 +197,30 @@ def test_a_turn_that_no_pole_has_excluded_yet_widens_the_pose() -> None:
     assert before_rad == pytest.approx(np.radians(1.0), rel=0.01)
     check, _ = drive(7)
     assert check.hinted_sd[0] == 0.0
-    after_m, after_rad = check.calibration_sd
-    assert (after_m, after_rad) == (0.0, 0.0)
+    assert check.calibration_sd == (0.0, 0.0)
     turned, _ = drive(6, turn_rad=0.016)
     assert turned.calibration_sd[1] > np.hypot(turned.hinted_sd[1], 0.005)
+
+
+@pytest.mark.parametrize(("turn_rad", "reason"), [(0.0, ""), (0.035, "turned"), (-0.035, "turned")])
+def test_a_camera_that_sees_its_own_course_is_judged_within_few_metres(
+    turn_rad: float, reason: str
+) -> None:
+    check = DetectorCheck(PolesConfig())
+    for k in range(40):
+        sample = OdometrySample(0.1 * k, 0.1 * k, 8.0, 0.0, 8.0 * np.tan(turn_rad))
+        check.course.add_step(sample, 0.8 * k)
+    # before any pole
+    assert check.calibration_sd[1] == pytest.approx(np.radians(1.0 if turn_rad else 0.0), rel=0.01)
+    poles = street(np.random.default_rng(1))
+    for k in range(40):
+        pose = np.array([0.8 * k, 0.0, 0.0])
+        seen = inverse_transform_points(pose, poles)
+        seen = seen[(seen[:, 0] > 3.0) & (seen[:, 0] < 25.0)]
+        scan = scan_at(0.1 * k, seen @ rotation(turn_rad).T)
+        check.add_scan(scan, mapped(poles), pose, pose, 0.8 * k, (8.0, 0.0))
+        if k > 25:
+            assert check.contradicts == reason
 
 
 def test_a_finding_ends_when_the_stretch_excludes_it() -> None:
