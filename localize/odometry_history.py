@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ class OdometryHistory:
     def append(self, sample: OdometrySample) -> bool:
         """Append a sample; False if it is not newer than the last or not finite."""
         values = (sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
-        if not np.isfinite(values).all() or sample.stamp_s <= self.newest_s:
+        if not all(map(isfinite, values)) or sample.stamp_s <= self.newest_s:
             return False
         if self._stamps:
             self._integrate_to(*values)
