@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
 
+FACING_COLUMN = "facing_rad"
+"""Extra column of a map: the free side of its corners, counter-clockwise from grid east."""
 _LARGEST_DETECTION = 0.999
 
 
@@ -25,6 +28,8 @@ class Landmarks:
         width_m: `(m,)`, NaN where unknown.
         detection: `(m,)` probability that a pole in view is reported, in (0, 1).
         ids: `(m,)` of the map's poles, whatever part of the map is loaded.
+        facing_rad: `(m,)` of corners, counter-clockwise from east, NaN where unknown; None of a
+            map that knows no sides.
     """
 
     kind: NDArray[np.int8]
@@ -33,6 +38,7 @@ class Landmarks:
     width_m: Floats
     detection: Floats
     ids: NDArray[np.int64]
+    facing_rad: Floats | None = None
 
     @classmethod
     def of(
@@ -56,6 +62,7 @@ class Landmarks:
         existence = np.clip(pole_map.existence[rows], 0.05, 1.0) if doubtful else np.ones(len(rows))
         if not uncertain:
             covariance = np.zeros_like(covariance)
+        facing = pole_map.extra.get(FACING_COLUMN)
         return cls(
             pole_map.kind[rows],
             np.ascontiguousarray(pole_map.points_m.reshape(-1, 2)[rows]),
@@ -63,11 +70,16 @@ class Landmarks:
             np.asarray(pole_map.width_m[rows], dtype=np.float64),
             np.minimum(p_detection * existence, _LARGEST_DETECTION),
             np.asarray(pole_map.ids[rows], dtype=np.int64),
+            None if facing is None else np.asarray(facing[rows], dtype=np.float64),
         )
 
     def take(self, rows: NDArray[np.bool_]) -> Landmarks:
         """Those of a mask `(m,)`."""
-        return Landmarks(*(getattr(self, field.name)[rows] for field in fields(self)))
+        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        chosen: dict[str, Any] = {
+            name: None if v is None else v[rows] for name, v in columns.items()
+        }
+        return replace(self, **chosen)
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.localize.config import LocalizeConfig, PolesConfig
+from polemap.localize.particle_filter.corner_sides import are_corners, by_turn, corner_model
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.particles import effective_count, normalized
 from polemap.localize.particle_filter.sensor_model import (
@@ -129,15 +130,23 @@ class PoleWeigher:
         *,
         want_assignment: bool = False,
     ) -> PoseLikelihoods:
-        return pole_log_likelihood(
-            rear_poses,
-            scan,
-            landmarks,
-            self._model,
-            view=self._view_of(scan),
-            want_assignment=want_assignment,
-            threads=self._threads,
-        )
+        corners = are_corners(scan, landmarks)
+        model = corner_model(self._model) if corners else self._model
+
+        def weigh(poses: Floats, seen: Detections, mapped: Landmarks) -> PoseLikelihoods:
+            return pole_log_likelihood(
+                poses,
+                seen,
+                mapped,
+                model,
+                view=self._view_of(scan),
+                want_assignment=want_assignment,
+                threads=self._threads,
+            )
+
+        if corners:
+            return by_turn(weigh, rear_poses, scan, landmarks)
+        return weigh(rear_poses, scan, landmarks)
 
     def match(self, pose: Floats, scan: Detections, landmarks: Landmarks) -> Match:
         """Match a scan from a single rear-axle pose `(3,)`."""
