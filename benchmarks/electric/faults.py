@@ -1,27 +1,26 @@
 """Faults of sensors and every estimator: what they cost, who is accused, how soon, how wrongly.
 
-    python -m benchmarks.electric.faults --out faults.json
+    python -m benchmarks.electric.faults --out faults.jsonl
 
-Drives, cars and faults are those of `fault_drives`; the seeds from 300 on were not looked at while
-the isolation was built. Three tables: the largest error of the side-slip from the fault's beginning
-to its end and three seconds on, gates alone against isolation; who is accused of each kind of fault
-of each sensor; and false alarms in hours of clean driving.
+Drives, cars and faults are those of `fault_drives`. Tables: the largest error of the side-slip from
+the fault's beginning to its end and three seconds on, gates alone against isolation; who is accused
+of each kind of fault of each sensor; and false alarms on clean drives and on the recordings. Each
+row is kept when it is done: a run that was stopped goes on from there.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.electric.fault_drives import CHANNELS, KINDS, STYLES, driven, faulty
-from benchmarks.harness import RECORDINGS, command_line, write_results
+from benchmarks.electric.fault_tables import Row, tables
+from benchmarks.harness import RECORDINGS, append_row, command_line, rows_in
 from polemap.electric.clock_rate import stretched_clock
 from polemap.electric.comma2k19.io import read_comma2k19
 from polemap.electric.config import EstimatorConfig
@@ -39,6 +38,8 @@ CONFIG = EstimatorConfig(
     step_s=0.01, gps_slots=2, camera_slots=2, camera_period_s=0.06, camera_delay_s=0.06,
     course_sd_rad=0.005, lateral_offset_sd_m=0.02, gyro_sd_radps=0.005, heading_walk_rad=0.01,
 )  # fmt: skip
+Job = tuple[str, str, str, int]
+KEY = ("table", "of", "fault", "seed")
 FIRST_SEED, FROM_S, TO_S, LENGTH_S = 300, 10.0, 15.0, 18.0
 TWELVE = (
     ("gyro", "step"), ("gyro", "stuck"), ("gyro", "noise"), ("gyro", "scale"),
@@ -126,28 +127,33 @@ class Together:
         return np.zeros((len(self.fields),) * 2)
 
 
-def peaks(sensor: str, kind: str, seed: int) -> dict[str, tuple[float, float]]:
+def peaks(sensor: str, kind: str, seed: int) -> Row:
     """Largest error of the side-slip of every estimator, degrees: gates alone, and isolation."""
     log = _broken(sensor, kind, seed, LENGTH_S)
     scored = log.stamp_s >= FROM_S
     truth = log.columns["sideslip_rad"][:, None]
-    result = {}
+    largest: dict[str, tuple[float, float]] = {}
+    told: list[Fault] = []
     # of yaw rate and lateral acceleration the observer is told both or none
     alone = "linear_observer"
     for names in ([alone], [name for name in ESTIMATORS if name != alone]):
-        tolerant = FaultTolerant(Together(names), CAR, CONFIG, ESTIMATORS[names[0]].needs, [])
-        largest = [
-            np.degrees(np.abs(play(each, log).mean - truth)[scored].max(axis=0))
-            for each in (Together(names), tolerant)
+        told = []
+        tolerant = FaultTolerant(Together(names), CAR, CONFIG, ESTIMATORS[names[0]].needs, told)
+        each = [
+            np.degrees(np.abs(play(one, log).mean - truth)[scored].max(axis=0))
+            for one in (Together(names), tolerant)
         ]
         for place, name in enumerate(names):
-            result[name] = float(largest[0][place]), float(largest[1][place])
-    return result
+            largest[name] = float(each[0][place]), float(each[1][place])
+    return {"deg": largest, **_verdict(sensor, told)}
 
 
-def accusations(sensor: str, kind: str, seed: int) -> dict[str, Any]:
+def accusations(sensor: str, kind: str, seed: int) -> Row:
     """Whether a fault was found, after how long, and who else was accused."""
-    found = faults_in(_broken(sensor, kind, seed, LENGTH_S + 7.0))
+    return _verdict(sensor, faults_in(_broken(sensor, kind, seed, LENGTH_S + 7.0)))
+
+
+def _verdict(sensor: str, found: list[Fault]) -> Row:
     single = [fault for fault in found if " or " not in fault.sensor]
     right = [fault.found_s - FROM_S for fault in single if sensor in fault.sensor]
     return {
@@ -157,26 +163,25 @@ def accusations(sensor: str, kind: str, seed: int) -> dict[str, Any]:
     }
 
 
-def alarms(style: str, seed: int, length_s: float) -> list[str]:
-    """Who is accused on a clean drive."""
-    return [fault.sensor for fault in faults_in(driven(CAR, style, length_s, seed).log)]
+def alarms(style: str, minutes: str, seed: int) -> Row:
+    """Who is accused on a clean drive, which of them withheld."""
+    found = faults_in(driven(CAR, style, 60.0 * float(minutes), seed).log)
+    return {"accused": [fault.sensor for fault in found],
+            "withheld": [fault.sensor for fault in found if fault.withheld]}  # fmt: skip
 
 
-def recorded() -> dict[str, Any]:
-    """Accusations on the recordings beside the project, each with its hours."""
-    result: dict[str, Any] = {}
-    for name, (log, car) in _recordings().items():
-        step_s = float(np.median(np.diff(log.stamp_s)))
-        config = CONFIG.model_copy(update={"step_s": step_s})
-        found = faults_in(log, car, config)
-        result[name] = {
-            "hours": float(log.stamp_s[-1] - log.stamp_s[0]) / 3600.0,
-            "accused": [f"{fault.sensor}: {fault.what}, {fault.from_s:.1f} s" for fault in found],
-        }
-    return result
+def recorded(name: str, _kind: str, seed: int) -> Row:
+    """Accusations on a recording beside the project; the seed is that of a derived GPS."""
+    log, car = _recordings(seed)[name]
+    step_s = float(np.median(np.diff(log.stamp_s)))
+    found = faults_in(log, car, CONFIG.model_copy(update={"step_s": step_s}))
+    return {
+        "hours": float(log.stamp_s[-1] - log.stamp_s[0]) / 3600.0,
+        "accused": [f"{fault.sensor}: {fault.what}, {fault.from_s:.1f} s" for fault in found],
+    }
 
 
-def _recordings() -> dict[str, tuple[SignalLog, Car]]:
+def _recordings(seed: int) -> dict[str, tuple[SignalLog, Car]]:
     found: dict[str, tuple[SignalLog, Car]] = {}
     published = replace(
         CAR, name="gti", source="Stanford ME227, published", mass_kg=1926.2,
@@ -192,7 +197,8 @@ def _recordings() -> dict[str, tuple[SignalLog, Car]]:
         clock = stretched_clock(log)
         log = log if clock is None else clock.real_time(log)
         found[name] = log, car
-        made = gps_from_truth(log, np.random.default_rng(0), course_sd_rad=0.005, speed_sd_mps=0.05)
+        rng = np.random.default_rng(seed)
+        made = gps_from_truth(log, rng, course_sd_rad=0.005, speed_sd_mps=0.05)
         found[f"{name} with derived GPS"] = made, car
     if (RECORDINGS / "comma2k19").exists():
         rav4 = load_car("rav4")
@@ -200,48 +206,43 @@ def _recordings() -> dict[str, tuple[SignalLog, Car]]:
     return found
 
 
-def _spread(
-    work: Callable[..., Any], jobs: list[tuple[Any, ...]], workers: int
-) -> list[tuple[tuple[Any, ...], Any]]:
-    with ProcessPoolExecutor(workers) as pool:
-        return list(zip(jobs, pool.map(work, *zip(*jobs, strict=True)), strict=True))
+TABLES: dict[str, Callable[[str, str, int], Row]] = {
+    "alarms": alarms, "recorded": recorded, "peaks": peaks, "accusations": accusations,
+}  # fmt: skip
+
+
+def _jobs(tables: Iterable[str], seeds: range, hours: float) -> list[Job]:
+    """What there is to do, seed by seed; (table, of, fault, seed)."""
+    minutes = f"{60.0 * hours / (len(STYLES) * len(seeds)):.3g}"
+    cases: dict[str, list[tuple[str, str]]] = {
+        "alarms": [(style, minutes) for style in STYLES],
+        "recorded": [],
+        "peaks": list(TWELVE),
+        "accusations": [(sensor, kind) for sensor in CHANNELS for kind in KINDS],
+    }
+    jobs = [(table, *case, seed) for seed in seeds for table in tables for case in cases[table]]
+    if "recorded" in tables:
+        jobs += [("recorded", name, "", seeds[0]) for name in _recordings(0)]
+    return jobs
+
+
+def _work(job: Job) -> Row:
+    table, of, fault, seed = job
+    return dict(zip(KEY, job, strict=True)) | TABLES[table](of, fault, seed)
 
 
 def main(given: list[str] | None = None) -> None:
-    """All three tables into a JSON file."""
+    """A row a line; what is there is not done again. Then all tables of the rows there are."""
     asked = command_line(
-        __doc__, given, out=Path("faults.json"), seeds=10, workers=2, hours=2.0, only=""
+        __doc__, given, out=Path("faults.jsonl"), seeds=10, workers=2, hours=1.0, only=list(TABLES)
     )
     seeds = range(FIRST_SEED, FIRST_SEED + asked.seeds)
-    result: dict[str, Any] = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    if asked.only in ("", "alarms"):
-        length_s = asked.hours * 3600.0 / (len(STYLES) * asked.seeds)
-        jobs: list[tuple[Any, ...]] = [(style, s, length_s) for style in STYLES for s in seeds]
-        told = _spread(alarms, jobs, asked.workers)
-        result["clean"] = {
-            style: [name for job, names in told if job[0] == style for name in names]
-            for style in STYLES
-        }
-        result["recorded"] = recorded()
-        write_results(asked.out, result)
-    if asked.only in ("", "accusations"):
-        result["accusations"] = []
-        for seed in seeds:
-            jobs = [(sensor, kind, seed) for sensor in CHANNELS for kind in KINDS]
-            result["accusations"] += [
-                {"sensor": j[0], "kind": j[1], "seed": j[2], **x}
-                for j, x in _spread(accusations, jobs, asked.workers)
-            ]
-            write_results(asked.out, result)
-    if asked.only in ("", "peaks"):
-        result["peaks"] = []
-        for seed in seeds:
-            jobs = [(sensor, kind, seed) for sensor, kind in TWELVE]
-            result["peaks"] += [
-                {"sensor": j[0], "kind": j[1], "seed": j[2], "deg": x}
-                for j, x in _spread(peaks, jobs, asked.workers)
-            ]
-            write_results(asked.out, result)  # a long run that is cut leaves whole seeds
+    rows = rows_in(asked.out, *KEY)
+    left = [job for job in _jobs(asked.only, seeds, asked.hours) if job not in rows]
+    with ProcessPoolExecutor(asked.workers) as pool:
+        for done in as_completed([pool.submit(_work, job) for job in left]):
+            append_row(asked.out, done.result())
+    print(tables(list(rows_in(asked.out, *KEY).values())))
 
 
 if __name__ == "__main__":
