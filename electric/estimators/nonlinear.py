@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import exp
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,13 +21,10 @@ from polemap.electric.estimators.base import (
 from polemap.electric.estimators.grade import GradeKalman
 from polemap.electric.estimators.process_noise import (
     AY_BIAS,
-    BANK,
     BETA,
     FORCE,
     GAMMA,
     GYRO_BIAS,
-    LEAST_SLOPE,
-    MOMENT,
     PSI,
     ROLL,
     SCALE,
@@ -38,11 +33,11 @@ from polemap.electric.estimators.process_noise import (
     ProcessNoise,
     start_covariance,
 )
-from polemap.vehicle.axles import GRAVITY_MPS2, Axles
+from polemap.electric.estimators.single_track_motion import SingleTrackMotion
 from polemap.vehicle.delay import ClonedFilter
 from polemap.vehicle.parameters import Car
 from polemap.vehicle.pose import wrap_angle
-from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS, lateral
+from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS
 
 Floats = NDArray[np.float64]
 
@@ -92,15 +87,14 @@ class NonlinearKalman:
     )
 
     def __init__(self, car: Car, config: EstimatorConfig) -> None:
-        self._car, self._config, self._axles = car, config, Axles(car)
-        self._limits = self._axles.limits(0.0)
+        self._car, self._config = car, config
         selection = np.zeros((1, SIZE))
         selection[0, BETA] = selection[0, PSI] = 1.0
         start = start_covariance()
         self._start_variance = start.diagonal().copy()
         self._filter = ClonedFilter(np.zeros(SIZE), start, selection, config.gps_slots)
-        self._transition = np.eye(SIZE)
         self._noise, self._grade = ProcessNoise(car, config.heading_walk_rad), GradeKalman()
+        self._motion = SingleTrackMotion(car, self._noise)
         self._gyro_row, self._ay_row = np.zeros(self._filter.size), np.zeros(self._filter.size)
         self._gyro_row[GAMMA] = self._gyro_row[GYRO_BIAS] = 1.0
         self._ay_row[FORCE] = self._ay_row[AY_BIAS] = 1.0
@@ -122,87 +116,25 @@ class NonlinearKalman:
             return
         self._step_s = t
         self._along += (inputs.ax_mps2 - self._along) * min(1.0, t / _ALONG_TIME_S)
-        self._limits = self._axles.limits(self._along)
+        self._motion.pushed(self._along)
         self._steering, self._speed = inputs.road_wheel_angle_rad, inputs.speed_mps
-        self._noise.step(t, self._transition)
+        self._noise.step(t, self._motion.transition)
         x = self._filter.x
         across = x.item(GAMMA) * x.item(BETA) * self._speed
         self._grade.step(t, inputs.ax_mps2, across, self._speed)
+        motion = self._motion
         if self._speed >= KINEMATIC_SPEED_MPS:
-            self._on_tyres(t, inputs.yaw_moment_nm)
+            moved = motion.on_tyres(
+                t, x, self._steering, self._speed, self._along, inputs.yaw_moment_nm
+            )
         else:
-            self._rolling(t)
+            moved = motion.rolling(t, x, self._steering, self._speed)
+        self._predict(*moved)
         x[BETA] = min(max(x.item(BETA), -_SIDESLIP_MAX_RAD), _SIDESLIP_MAX_RAD)
         x[SCALE] = min(max(x.item(SCALE), -_SCALE_MAX), _SCALE_MAX)
 
-    def _forces(self) -> tuple[float, float, float, float]:
-        """Front force, slope, rear force, slope at the state, slopes at least `LEAST_SLOPE`."""
-        x, limits = self._filter.x, self._limits
-        front, front_slope, rear, rear_slope = self._axles.forces(
-            x.item(BETA), x.item(GAMMA), self._steering - x.item(STEERING), self._speed, limits
-        )
-        scale = exp(x.item(SCALE))
-        return (
-            scale * front,
-            scale * min(front_slope, -LEAST_SLOPE * limits[0]),
-            scale * rear,
-            scale * min(rear_slope, -LEAST_SLOPE * limits[2]),
-        )
-
-    def _on_tyres(self, t: float, moment_nm: float) -> None:
-        f, car, v, g = self._filter, self._car, self._speed, self._transition
-        x, m, inertia = f.x, car.mass_kg, car.yaw_inertia_kgm2
-        lf, lr = car.cg_to_front_m, car.cg_to_rear_m
-        front, front_slope, rear, rear_slope = self._forces()
-        beta, gamma = x.item(BETA), x.item(GAMMA)
-        force, turning = (front + rear) / (m * v), (lf * front - lr * rear) / inertia
-        self._noise.on_tyres(abs(front) + abs(rear))
-        lacking = x.item(FORCE) - GRAVITY_MPS2 * x.item(BANK)
-        beta_rate = force + lacking / v - gamma - beta * self._along / v
-        gamma_rate = turning + x.item(MOMENT) + moment_nm / inertia
-        # A of the rates by beta and gamma; W = t (I - t/2 A)^-1; x+ = x + W f(x), G = I + W A
-        moment_slope = (lf * front_slope - lr * rear_slope) / inertia
-        a00 = (front_slope + rear_slope) / (m * v) - self._along / v
-        a01 = moment_slope * inertia / (m * v * v) - 1.0
-        a11 = (lf * lf * front_slope + lr * lr * rear_slope) / (inertia * v)
-        h = 0.5 * t
-        b00, b01, b10, b11 = 1.0 - h * a00, -h * a01, -h * moment_slope, 1.0 - h * a11
-        inverse = t / (b00 * b11 - b01 * b10)
-        w00, w01, w10, w11 = inverse * b11, -inverse * b01, -inverse * b10, inverse * b00
-        steered, steered_turn = front_slope / (m * v), lf * front_slope / inertia
-        g[0, 0], g[0, 1] = 1.0 + w00 * a00 + w01 * moment_slope, w00 * a01 + w01 * a11
-        g[1, 0], g[1, 1] = w10 * a00 + w11 * moment_slope, 1.0 + w10 * a01 + w11 * a11
-        g[0, FORCE], g[1, FORCE] = w00 / v, w10 / v
-        g[0, BANK], g[1, BANK] = -GRAVITY_MPS2 * w00 / v, -GRAVITY_MPS2 * w10 / v
-        g[0, MOMENT], g[1, MOMENT] = w01, w11
-        g[0, SCALE], g[1, SCALE] = w00 * force + w01 * turning, w10 * force + w11 * turning
-        g[0, STEERING] = w00 * steered + w01 * steered_turn
-        g[1, STEERING] = w10 * steered + w11 * steered_turn
-        self._predict(
-            beta + w00 * beta_rate + w01 * gamma_rate,
-            gamma + w10 * beta_rate + w11 * gamma_rate,
-            x.item(PSI) + t * (gamma + 0.5 * (w10 * beta_rate + w11 * gamma_rate)),
-        )
-
-    def _rolling(self, t: float) -> None:
-        """Too slow for tyres: side-slip and yaw rate relax to those of rolling without slip."""
-        f, g = self._filter, self._transition
-        a, b = lateral(self._car, max(self._speed, 0.0))
-        steering = self._steering - f.x.item(STEERING)
-        g[:2, FORCE:] = 0.0
-        ends = []
-        for index in (BETA, GAMMA):
-            leak = exp(a[index, index] * t)
-            answer = b[index, 0] / -a[index, index]
-            g[index, :2] = 0.0
-            g[index, index] = leak
-            g[index, STEERING] = -(1.0 - leak) * answer
-            ends.append(leak * f.x.item(index) + (1.0 - leak) * answer * steering)
-            self._noise.rolling(index, answer * steering, leak)
-        self._predict(ends[0], ends[1], f.x.item(PSI) + t * f.x.item(GAMMA))
-
     def _predict(self, beta: float, gamma: float, psi: float) -> None:
-        f, g = self._filter, self._transition
+        f, g = self._filter, self._motion.transition
         driven = -(g @ f.x[:SIZE])
         driven[BETA] += beta
         driven[GAMMA] += gamma
@@ -238,9 +170,9 @@ class NonlinearKalman:
             self._ay_variance += share * (0.5 * change * change - self._ay_variance)
         if self._speed < _AY_SPEED_MPS:
             return
-        front, front_slope, rear, rear_slope = self._forces()
         car, m, v, row = self._car, self._car.mass_kg, self._speed, self._ay_row
         x = self._filter.x
+        front, front_slope, rear, rear_slope = self._motion.forces(x, self._steering, v)
         across = (front + rear) / m
         row[BETA] = (front_slope + rear_slope) / m
         row[GAMMA] = (car.cg_to_front_m * front_slope - car.cg_to_rear_m * rear_slope) / (m * v)

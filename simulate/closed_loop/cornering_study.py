@@ -20,7 +20,9 @@ from polemap.simulate.closed_loop.cornering import (
 )
 from polemap.simulate.closed_loop.lateral import Command, LateralRun, run_lateral
 from polemap.simulate.closed_loop.sensing import Measured, SensorModel
+from polemap.simulate.closed_loop.speeds import RANGES, Swing
 from polemap.vehicle.parameters import Car
+from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS
 
 NAME = "N13-cornering"
 SPEED_MPS, DURATION_S = 20 * KMH, 8.5
@@ -50,6 +52,7 @@ class Case:
     corner: Corner
     friction: float
     duration_s: float = DURATION_S
+    speed: float | Swing = SPEED_MPS
 
     def run(
         self, name: str, seed: int, settings: CornerSettings | None = None, hold_s: float = 0.0
@@ -62,7 +65,7 @@ class Case:
         estimator, late = behind(name, model, REJECTING_NOISE, (GPS,))
         return run_lateral(
             plant_of(with_stiffness(self.car, real)),
-            SPEED_MPS,
+            self.speed,
             self.duration_s,
             self.corner,
             _Watched(loop) if name == NONE else loop,
@@ -102,6 +105,8 @@ def cornering_study(car: Car, seeds: int, report: Report, estimators: tuple[str,
     ice = Case(car, Corner(ICE_STEER_RAD), ICE)
     lines = [*table.lines, *_ice(ice, names[-1], seeds, table.figures)]
     report(3 * seeds)
+    for swing in RANGES:
+        lines += _varying(car, swing, names, table.figures, report)
     remarks = (
         "Side-slip against its reference, rms from 1 s after the wheel stands; single rate: the "
         f"controller runs once per GPS value ({1000 * GPS_PERIOD_S:.0f} ms).",
@@ -110,6 +115,8 @@ def cornering_study(car: Car, seeds: int, report: Report, estimators: tuple[str,
         "the stiffness filter knows that a straight car has none.",
         "A controller sees through an estimator without disturbances by an observer behind it; the "
         "bicycle's side-slip is its model's, so there is nothing in it to find.",
+        "At 10-20 and 0-30 km/h the speed goes up and down once in 16 s, one drive each, scored "
+        f"from {KINEMATIC_SPEED_MPS:.0f} m/s on; the motors of the moment also drive and brake.",
         f"Friction {ICE}, {ICE_STEER_RAD} rad: the reference cannot be driven. Saturated is the "
         "share of time in which a limit was met or the car was handed back to the driver.",
     )
@@ -214,6 +221,31 @@ def _ice(ice: Case, name: str, seeds: int, figures: dict[str, float]) -> list[Li
         spun = "spins" if peak > SPUN_RAD else f"peak {1e3 * peak:.0f} mrad"
         text = "" if who == NONE else f"{100 * share:.0f} % saturated or handed back"
         lines.append(Line(f"friction {ice.friction}: {label}", spun, "", text))
+    return lines
+
+
+def _varying(
+    car: Car, swing: Swing, names: tuple[str, ...], figures: dict[str, float], report: Report
+) -> list[Line]:
+    """The corner at a speed that swings: unrejected and rejected, one drive a row."""
+    case = Case(car, Corner(), 0.9, swing.lasts_s, swing)
+    settled = case.corner.settled_s
+    lines = []
+    for name in (NONE, TRUTH, *names):
+        off = case.run(name, 0, CornerSettings(reject=False))
+        errors = [off.error_rms_rad(settled, KINEMATIC_SPEED_MPS)]
+        if name != NONE:
+            on = case.run(name, 0, CornerSettings())
+            errors.append(on.error_rms_rad(settled, KINEMATIC_SPEED_MPS))
+        report(len(errors))
+        key = f"{name}_{swing.lowest_kmh:.0f}_{swing.highest_kmh:.0f}".replace(" ", "_")
+        figures |= {
+            f"{key}_{what}_rad": error
+            for what, error in zip(("unrejected", "rejected"), errors, strict=False)
+        }
+        ratio = f"ratio {errors[1] / errors[0]:.3f}" if name != NONE else ""
+        text = " / ".join(f"{1e3 * error:.2f}" for error in errors) + " mrad"
+        lines.append(Line(f"{swing}, {name}: unrejected / rejected", text, "", ratio))
     return lines
 
 

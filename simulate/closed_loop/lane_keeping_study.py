@@ -17,6 +17,7 @@ from polemap.simulate.closed_loop.cornering import yaw_moment_limit_nm
 from polemap.simulate.closed_loop.lateral import Command, LateralRun, run_lateral
 from polemap.simulate.closed_loop.margins import FAST_S, SLOW_S
 from polemap.simulate.closed_loop.sensing import Measured, SensorModel
+from polemap.simulate.closed_loop.speeds import RANGES, Swing
 from polemap.vehicle.parameters import Car
 
 NAME = "W13-lane-keeping"
@@ -65,7 +66,13 @@ class LaneKeepingLoop:
 
 
 def run_keeping(
-    car: Car, name: str, weights: LaneWeights, seed: int, hold_s: float, shift: LaneShift
+    car: Car,
+    name: str,
+    weights: LaneWeights,
+    seed: int,
+    hold_s: float,
+    shift: LaneShift,
+    speed: float | Swing = SPEED_MPS,
 ) -> LateralRun:
     """One shift behind an estimator; above 0 `hold_s` is the period of controller and command."""
     estimator, late = behind(name, car, CAMERA_NOISE, (CAMERA,))
@@ -73,8 +80,8 @@ def run_keeping(
     keeper = LaneKeeper(car, weights, limits, hold_s or FAST_S)
     return run_lateral(
         plant_of(car.scaled(stiffness=STIFFER)),
-        SPEED_MPS,
-        DURATION_S,
+        speed,
+        speed.lasts_s if isinstance(speed, Swing) else DURATION_S,
         lambda _stamp_s: 0.0,
         LaneKeepingLoop(keeper, shift),
         rng=np.random.default_rng(seed),
@@ -108,6 +115,15 @@ def lane_keeping_study(car: Car, seeds: int, report: Report, estimators: tuple[s
                 lines.append(line)
                 figures |= found
                 curves[label] = runs[0]
+    for swing in RANGES:
+        # the lane is changed while the speed rises
+        for name in (TRUTH, *names):
+            for rate, hold_s in (("single rate", SLOW_S), ("multi-rate", 0.0)):
+                run = run_keeping(car, name, BOTH, 0, hold_s, shift, swing)
+                report(1)
+                line, found = _row(f"{swing}, {name}, {rate}", [run], shift)
+                lines.append(line)
+                figures |= found
     shown = {
         f"{name}, {rate}": curves[f"{name}, steering and moment, {rate}"]
         for name, rate in ((TRUTH, "multi-rate"), (names[0], "single rate"),
@@ -118,6 +134,8 @@ def lane_keeping_study(car: Car, seeds: int, report: Report, estimators: tuple[s
         "and largest |Nz|; W13 names integrated motion and position control and prints none.",
         "Single rate: controller and command once a camera frame, gains for that period; "
         "multi-rate: every millisecond.",
+        "At 10-20 and 0-30 km/h the speed goes up and down once in 16 s: steering and moment, one "
+        "drive each, scored to the end; the gains follow the speed.",
     )
     return Study(
         NAME,

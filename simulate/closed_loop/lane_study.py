@@ -17,8 +17,9 @@ from polemap.simulate.closed_loop.cornering import yaw_moment_limit_nm
 from polemap.simulate.closed_loop.lateral import BodySlipLoop, LaneChange, LateralRun, run_lateral
 from polemap.simulate.closed_loop.margins import FAST_S, SLOW_S, gains_for_margin
 from polemap.simulate.closed_loop.sensing import SensorModel
+from polemap.simulate.closed_loop.speeds import RANGES, Swing
 from polemap.vehicle.parameters import Car
-from polemap.vehicle.single_track import lateral
+from polemap.vehicle.single_track import KINEMATIC_SPEED_MPS, lateral
 
 NAME = "W14-lane-change"
 SPEED_MPS, DURATION_S = 25 * KMH, 6.0
@@ -63,7 +64,7 @@ def run_lane(
     return run_lateral(
         plant_of(car.scaled(stiffness=STIFFER)),
         speed,
-        DURATION_S,
+        speed.lasts_s if isinstance(speed, Swing) else DURATION_S,
         driver,
         None if gains is None else BodySlipLoop(car, gains, limit, feed_forward),
         rng=np.random.default_rng(seed),
@@ -97,6 +98,12 @@ def lane_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]
         for text, forward in (("scheduled", None), ("of 25 km/h", fixed)):
             label = f"15-35 km/h, {name}, feed-forward {text}"
             lane.note(label, name, designed, 0.0, speed=speeding, feed_forward=forward)
+    for swing in RANGES:
+        lane.driver = LaneChange(begin_s=0.25 * swing.lasts_s)
+        lane.note(f"{swing}, {NONE}", NONE, None, 0.0, speed=swing)
+        for name in (TRUTH, *names):
+            lane.note(f"{swing}, {name}, single rate", name, designed, SLOW_S, speed=swing)
+            lane.note(f"{swing}, {name}, multi-rate", name, designed, 0.0, speed=swing)
     limit_nm = yaw_moment_limit_nm(car)
     remarks = (
         "Columns: rms and largest side-slip; largest |Nz| "
@@ -105,6 +112,8 @@ def lane_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ...]
         "with motors of 5 ms; W14 compares so. Less margin only drives the motors by noise.",
         "Single rate: controller and command once a camera frame, whatever the estimator; "
         "single_rate is W14's estimator, which itself stands still between pictures.",
+        "At 10-20 and 0-30 km/h the speed goes up and down once in 16 s, the lane is changed while "
+        "it rises; same gain, feed-forward scheduled, one drive each, scored from 1 m/s on.",
     )
     return Study(
         NAME,
@@ -139,15 +148,16 @@ class _Lane:
         speed: float | Callable[[float], float] = SPEED_MPS,
         feed_forward: float | None = None,
     ) -> None:
-        """A row: a run a seed behind an estimator, with the command held for `hold_s`."""
+        """A row: a run a seed behind an estimator, one where the speed swings."""
         runs = [
             run_lane(self.car, name, gains, seed, hold_s, self.driver, speed=speed,
                      feed_forward=feed_forward)
-            for seed in range(self.seeds)
+            for seed in range(1 if isinstance(speed, Swing) else self.seeds)
         ]  # fmt: skip
-        self.report(self.seeds)
+        self.report(len(runs))
         key = label.replace(", ", "_").replace(" ", "_")
-        each = [r.error_rms_rad(self.driver.begin_s) for r in runs]
+        least_mps = KINEMATIC_SPEED_MPS if isinstance(speed, Swing) else 0.0
+        each = [r.error_rms_rad(self.driver.begin_s, least_mps) for r in runs]
         rms = float(np.mean(each))
         peak = float(np.max([r.peak_rad() for r in runs]))
         moment = float(np.max([r.moment_peak_nm() for r in runs]))

@@ -66,9 +66,12 @@ class LateralRun:
     offset_m: Floats
     offset_reference_m: Floats
 
-    def error_rms_rad(self, start_s: float = 0.0) -> float:
-        """Side-slip against its reference."""
-        late = self.stamp_s >= start_s
+    def error_rms_rad(self, start_s: float = 0.0, least_mps: float = 0.0) -> float:
+        """Side-slip against its reference, from a stamp on, where the car drives at least so fast.
+
+        A car that hardly rolls has side-slip, but none of tyres.
+        """
+        late = (self.stamp_s >= start_s) & (self.speed_mps >= least_mps)
         error = (self.sideslip_rad - self.sideslip_reference_rad)[late]
         return float(np.sqrt(np.mean(error**2)))
 

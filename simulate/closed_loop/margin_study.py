@@ -28,6 +28,7 @@ from polemap.vehicle.single_track import lateral
 NAME = "W14-margins"
 SPEED_MPS, POLE_HZ, LAG_S = 25 * KMH, 1.0, 0.005
 PRINTED_DB, PRINTED_HZ = (5.92, 22.8), (15.15, 477.46)
+SPEEDS_KMH = (5, 10, 15, 20, 30)
 TRIPLE_RADPS = 2.0 * pi * 2.0
 DEFAULT = ("single_rate", "clones", "compensated", "uneven_delay")
 
@@ -78,6 +79,7 @@ def margin_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ..
         lines.append(
             Line("estimator in the loop: smallest multi - single", f"{gap:.1f} dB", ">= 20 dB", "")
         )
+    lines += _over_speeds(car, figures)
     lines += _table_two(car, figures)
     remarks = (
         "Gain margin, phase margin and phase crossover of the loop at the motors. The gap is near "
@@ -101,6 +103,24 @@ def margin_study(car: Car, seeds: int, report: Report, estimators: tuple[str, ..
         _panels(car),
         ("ours", "expected", "the paper says"),
     )
+
+
+def _over_speeds(car: Car, figures: dict[str, float]) -> list[Line]:
+    """Margins belong to one speed each: those of the papers' ranges, with that speed's gains."""
+    lines = []
+    for kmh in SPEEDS_KMH:
+        gains = place_pi(*lateral(car, kmh * KMH), 2.0 * pi * POLE_HZ)
+        slow, fast = (loop_margins(car, kmh * KMH, gains, t) for t in (SLOW_S, FAST_S))
+        figures |= {f"at_{kmh}_single_db": slow.gain_db, f"at_{kmh}_multi_db": fast.gain_db}
+        lines.append(
+            Line(
+                f"at {kmh} km/h, single / multi",
+                f"{slow.gain_db:.1f} / {fast.gain_db:.1f} dB",
+                "",
+                "",
+            )
+        )
+    return lines
 
 
 def _text(m: Margins) -> str:

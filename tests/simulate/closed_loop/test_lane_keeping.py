@@ -15,6 +15,7 @@ from polemap.simulate.closed_loop.lane_keeping_study import (
     run_keeping,
 )
 from polemap.simulate.closed_loop.margins import SLOW_S
+from polemap.simulate.closed_loop.speeds import Swing
 from polemap.vehicle.io import load_car
 
 COMS = load_car("coms")
@@ -48,3 +49,18 @@ def test_once_a_frame_is_worse_than_every_millisecond() -> None:
 def test_an_estimator_without_a_lane_is_refused() -> None:
     with pytest.raises(ConfigError, match="estimator bicycle cannot serve here"):
         lane_keeping_study(COMS, 1, lambda _n: None, ("bicycle",))
+
+
+def test_the_papers_ranges_of_speed_are_driven_and_the_lane_is_kept() -> None:
+    swing = Swing(0.0, 30.0)
+    assert swing(0.0) == 0.0
+    assert swing(8.0) == pytest.approx(30.0 / 3.6)
+    assert str(swing) == "0-30 km/h"
+    steps = np.diff([swing(t) for t in np.linspace(0.0, 16.0, 1601).tolist()]) / 0.01
+    assert np.abs(steps).max() < 0.7 * 2.0 * COMS.motor_torque_limit_nm / (
+        COMS.wheel_radius_m * COMS.mass_kg
+    )
+    run = run_keeping(COMS, "clones", BOTH, 0, SLOW_S, SHIFT, Swing(10.0, 20.0, 6.0))
+    assert run.speed_mps.max() > 5.2
+    assert run.speed_mps.min() < 3.0
+    assert np.abs(run.offset_error_m()).max() < 0.05
