@@ -103,7 +103,9 @@ def _measure(
         beside = np.sort(beside, axis=1)
         # a double line has its twin in one side: the median does not see it
         lights.append(beside[:, 3])
-        scatters.append(np.minimum(beside.std(axis=1), beside[:, 3] - beside[:, 0]))
+        # nor is a tar seam along the paint, two of its seven columns, a scatter
+        calm = np.minimum(beside[:, 3] - beside[:, 0], beside[:, 6] - beside[:, 2])
+        scatters.append(np.minimum(beside.std(axis=1), calm))
     right, left = halves
     width = (right + left) * STEP_ASIDE_M
     brighter = np.maximum(*lights)
