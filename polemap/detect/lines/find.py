@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from polemap.detect.constants import DISPARITY_SD_PX
 from polemap.detect.ground import Ground
 from polemap.detect.lines.kerbs import HEIGHT_SD_PX, kerb_points
-from polemap.detect.lines.markings import marking_points
-from polemap.detect.lines.pieces import Piece, straight_pieces
+from polemap.detect.lines.markings import MarkingPoints, marking_points
+from polemap.detect.lines.pieces import CLEAR_M, SHORT, Piece, straight_pieces
 from polemap.detect.lines.road_frame import RoadFrame, view_road
 from polemap.detect.lines.styles import line_styles
 from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle
@@ -26,6 +26,7 @@ OFFSET_SD_MAX_M = 0.2  # what is known worse helps nobody
 PROBABILITY_MIN = 0.4
 _OFFSET_SD_M = {LandmarkKind.LANE_MARKING: 0.025, LandmarkKind.KERB: 0.03}
 _DIRECTION_SD_RAD = {LandmarkKind.LANE_MARKING: 0.005, LandmarkKind.KERB: 0.008}
+_STRIPE_SD_M = 0.02  # of a row's middle: few rows may agree by chance
 _ROWS_ALIKE = 3.0  # neighbouring rows err alike
 _LEAST_ACROSS_M = 0.8  # a car's half width: no kerb passes under it
 _BRIDGED_M = 0.3
@@ -79,13 +80,28 @@ def find_lines(
         found.append(_Found(LandmarkKind.KERB, kerbs, unknown, likely, noise))
     if LandmarkKind.LANE_MARKING in kinds:
         stripes = marking_points(view)
-        pieces = straight_pieces(stripes.points_m, stripes.row)
+        pieces = _marking_pieces(stripes)
         pieces = [p for p in pieces if not any(_beside(p, kerb) for kerb in kerbs)]
         pieces, styles = line_styles(pieces)
         likely = [_likely(p) for p in pieces]
-        noise = [p.rms_m / np.sqrt(max(p.rows / _ROWS_ALIKE, 1.0)) for p in pieces]
+        noise = [
+            float(max(p.rms_m, _STRIPE_SD_M) / np.sqrt(max(p.rows / _ROWS_ALIKE, 1.0)))
+            for p in pieces
+        ]
         found.append(_Found(LandmarkKind.LANE_MARKING, pieces, styles, likely, noise))
     return _table(found, view.frame)
+
+
+def _marking_pieces(stripes: MarkingPoints) -> list[Piece]:
+    """Pieces of markings, and short ones of what those leave."""
+    pieces = straight_pieces(stripes.points_m, stripes.row)
+    x, y = stripes.points_m.T
+    left = np.ones(len(x), dtype=bool)
+    for piece in pieces:
+        along = (x >= piece.start_m - 0.5) & (x <= piece.end_m + 0.5)
+        away = np.abs(y - piece.offset_m - piece.slope * (x - piece.middle_m))
+        left &= ~(along & (away < CLEAR_M))
+    return pieces + straight_pieces(stripes.points_m[left], stripes.row[left], SHORT)
 
 
 def _likely(piece: Piece) -> float:

@@ -30,11 +30,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 WINDOW_M = 6.0
-LEAST_LENGTH_M = 2.4  # a dash is 3 m long
 LEAST_ROWS = 6  # of the image or map, that show a piece
-LEAST_SHARE = 0.7  # of a piece's rows that show it
 GAP_M = 1.0  # a longer one ends a piece
-RMS_MAX_M = 0.06
 
 _SLOPE_MAX = 0.4
 _SLOPES = np.linspace(-_SLOPE_MAX, _SLOPE_MAX, 17)
@@ -43,20 +40,51 @@ _BINS = int(2.0 * (ASIDE_M + 2.0) / _BIN_M)
 _STRIDE_M = 0.5 * WINDOW_M
 _WINDOWS = int(np.ceil((FAR_M - NEAR_M) / _STRIDE_M))
 _TAKE_M = 0.15
-_CLEAR_M = 0.25  # two lines that are nearer than this are one, or a double one
+CLEAR_M = 0.25  # two lines that are nearer than this are one, or a double one
 _NEIGHBOURS = np.ones((3, 5), np.uint8)
 _TRIES = 32  # bounds the time of a frame
 _PROMISING = 1.1  # with what lies behind a gap a piece may scatter a little more
-_SHORTEST = round(LEAST_LENGTH_M / STEP_AHEAD_M)
-_LEAST_POINTS = int(LEAST_SHARE * LEAST_LENGTH_M / STEP_AHEAD_M)
-_SETTINGS: dict[str, float] = {
-    "near_m": NEAR_M, "step_ahead_m": STEP_AHEAD_M, "aside_m": ASIDE_M, "bin_m": _BIN_M,
-    "window_m": WINDOW_M, "take_m": _TAKE_M, "clear_m": _CLEAR_M, "gap_m": GAP_M,
-    "rms_max_m": RMS_MAX_M, "least_length_m": LEAST_LENGTH_M, "least_share": LEAST_SHARE,
-    "promising": _PROMISING, "slope_max": _SLOPE_MAX, "rows": ROWS, "windows": _WINDOWS,
-    "bins": _BINS, "slopes": len(_SLOPES), "tries": _TRIES, "least_points": _LEAST_POINTS,
-    "least_rows": LEAST_ROWS, "shortest": _SHORTEST,
-}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class PieceRules:
+    """What a piece has to be.
+
+    Attributes:
+        length_m: at least.
+        share: of its rows that show it, at least.
+        rms_m: of its points, at most.
+    """
+
+    length_m: float
+    share: float
+    rms_m: float
+
+    @property
+    def rows(self) -> int:
+        """Of the grid, that the least length covers."""
+        return round(self.length_m / STEP_AHEAD_M)
+
+    @property
+    def points(self) -> int:
+        """At least so many."""
+        return int(self.share * self.length_m / STEP_AHEAD_M)
+
+    def settings(self) -> dict[str, float]:
+        """All that the kernel has to know."""
+        return {
+            "near_m": NEAR_M, "step_ahead_m": STEP_AHEAD_M, "aside_m": ASIDE_M, "bin_m": _BIN_M,
+            "window_m": WINDOW_M, "take_m": _TAKE_M, "clear_m": CLEAR_M, "gap_m": GAP_M,
+            "rms_max_m": self.rms_m, "least_length_m": self.length_m, "least_share": self.share,
+            "promising": _PROMISING, "slope_max": _SLOPE_MAX, "rows": ROWS, "windows": _WINDOWS,
+            "bins": _BINS, "slopes": len(_SLOPES), "tries": _TRIES, "least_points": self.points,
+            "least_rows": LEAST_ROWS, "shortest": self.rows,
+        }  # fmt: skip
+
+
+PLAIN = PieceRules(2.4, 0.7, 0.06)
+# what is left of a dash at the picture's lower rim: only where it is clear
+SHORT = PieceRules(1.6, 0.85, 0.025)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +118,7 @@ class Piece:
         return self.offset_m + self.slope * (x_m - self.middle_m)
 
 
-def straight_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
+def straight_pieces(points_m: Floats, source_row: Ints, rules: PieceRules = PLAIN) -> list[Piece]:
     """Pieces among points `(n, 2)` of the road frame, those with most points first.
 
     `source_row` `(n,)` is the row of the image or map that showed each: rows of the grid that share
@@ -99,19 +127,19 @@ def straight_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
     if len(points_m) < LEAST_ROWS:
         return []
     if not HAVE_KERNEL:
-        return plain_pieces(points_m, source_row)
-    found = pieces_kernel.straight_pieces(points_m, source_row, _SETTINGS)
+        return plain_pieces(points_m, source_row, rules)
+    found = pieces_kernel.straight_pieces(points_m, source_row, rules.settings())
     return [Piece(*values) for values in found]
 
 
-def plain_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
+def plain_pieces(points_m: Floats, source_row: Ints, rules: PieceRules = PLAIN) -> list[Piece]:
     """`straight_pieces` in plain numpy, the tests' oracle."""
     x, y = points_m.T
     votes, middle = _vote(x, y)
-    peaks = (votes == cv2.dilate(votes, _NEIGHBOURS)) & (votes >= 0.8 * _LEAST_POINTS)
+    peaks = (votes == cv2.dilate(votes, _NEIGHBOURS)) & (votes >= 0.8 * rules.points)
     slope_at, cell = np.nonzero(peaks)
     best = np.argsort(-votes[slope_at, cell], kind="stable")[:_TRIES]
-    best = best[_promising(x, y, slope_at[best], cell[best], middle)]
+    best = best[_promising(x, y, slope_at[best], cell[best], middle, rules)]
     found: list[Piece] = []
     free = np.ones(len(x), dtype=bool)
     for s, at in zip(slope_at[best].tolist(), cell[best].tolist(), strict=True):
@@ -120,18 +148,20 @@ def plain_pieces(points_m: Floats, source_row: Ints) -> list[Piece]:
         # a line between two bins voted for both
         off = y - (b + 1.0) * _BIN_M + ASIDE_M + 2.0 - _SLOPES[s] * ahead
         near = free & (np.abs(ahead) <= 0.5 * WINDOW_M) & (np.abs(off) < _TAKE_M)
-        piece = _fit(x, y, source_row, np.flatnonzero(near))
+        piece = _fit(x, y, source_row, np.flatnonzero(near), rules)
         if piece is None:
             continue
         found.append(piece)
         along = (x >= piece.start_m - 0.5) & (x <= piece.end_m + 0.5)
         free &= ~(
-            along & (np.abs(y - piece.offset_m - piece.slope * (x - piece.middle_m)) < _CLEAR_M)
+            along & (np.abs(y - piece.offset_m - piece.slope * (x - piece.middle_m)) < CLEAR_M)
         )
     return found
 
 
-def _promising(x: Floats, y: Floats, slope_at: Ints, cell: Ints, middle: Floats) -> Ints:
+def _promising(
+    x: Floats, y: Floats, slope_at: Ints, cell: Ints, middle: Floats, rules: PieceRules
+) -> Ints:
     """Which peaks of the votes a straight line explains, all at once: most are scattered points."""
     window, bins = np.divmod(cell, _BINS)
     ahead = x - middle[window][:, np.newaxis]
@@ -153,8 +183,8 @@ def _promising(x: Floats, y: Floats, slope_at: Ints, cell: Ints, middle: Floats)
     shown = np.zeros((len(x), ROWS))
     shown[np.arange(len(x)), row] = 1.0
     so_far = np.minimum(take @ shown, 1.0).cumsum(axis=1)
-    dense = (so_far[:, _SHORTEST:] - so_far[:, :-_SHORTEST]).max(axis=1) >= _LEAST_POINTS
-    return np.flatnonzero((rms <= _PROMISING * RMS_MAX_M) & dense)
+    dense = (so_far[:, rules.rows :] - so_far[:, : -rules.rows]).max(axis=1) >= rules.points
+    return np.flatnonzero((rms <= _PROMISING * rules.rms_m) & dense)
 
 
 def _vote(x: Floats, y: Floats) -> tuple[NDArray[np.float32], Floats]:
@@ -172,17 +202,17 @@ def _vote(x: Floats, y: Floats) -> tuple[NDArray[np.float32], Floats]:
     return votes, np.asarray(middle, dtype=np.float64)
 
 
-def _fit(x: Floats, y: Floats, source_row: Ints, members: Ints) -> Piece | None:
+def _fit(x: Floats, y: Floats, source_row: Ints, members: Ints, rules: PieceRules) -> Piece | None:
     """Least squares over the longest run without a gap; points far off are left out once."""
     slope = offset = middle = 0.0
     for limit in (0.0, 2.5):
-        if len(members) < _LEAST_POINTS:
+        if len(members) < rules.points:
             return None
         if limit:
             off = y[members] - offset - slope * (x[members] - middle)
             rms = float(np.sqrt(np.mean(off * off)))
             members = _longest_run(x, members[np.abs(off) <= max(limit * rms, 0.04)])
-            if len(members) < _LEAST_POINTS:
+            if len(members) < rules.points:
                 return None
         middle = float(x[members].mean())
         u = x[members] - middle
@@ -196,13 +226,13 @@ def _fit(x: Floats, y: Floats, source_row: Ints, members: Ints) -> Piece | None:
     start, end = float(x[members].min()), float(x[members].max())
     rows = len(np.unique(np.rint(x[members] / STEP_AHEAD_M)))
     share = min(rows / ((end - start) / STEP_AHEAD_M + 1.0), 1.0)
-    long_enough = end - start >= LEAST_LENGTH_M
+    long_enough = end - start >= rules.length_m
     seen = len(np.unique(source_row[members]))
     if (
         seen < LEAST_ROWS
         or not long_enough
-        or rms > RMS_MAX_M
-        or share < LEAST_SHARE
+        or rms > rules.rms_m
+        or share < rules.share
         or abs(slope) > 0.5
     ):
         return None

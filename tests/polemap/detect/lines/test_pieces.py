@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polemap.detect.lines import pieces as module
-from polemap.detect.lines.pieces import plain_pieces, straight_pieces
+from polemap.detect.lines.pieces import PLAIN, SHORT, PieceRules, plain_pieces, straight_pieces
 
 
 def _points(seed: int, lines: int, clutter: int) -> tuple[np.ndarray, np.ndarray]:
@@ -27,10 +27,11 @@ def _points(seed: int, lines: int, clutter: int) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.skipif(not module.HAVE_KERNEL, reason="the kernel is not built")
+@pytest.mark.parametrize("rules", [PLAIN, SHORT], ids=["plain", "short"])
 @pytest.mark.parametrize("seed", range(12))
-def test_the_kernel_says_what_the_plain_way_says(seed: int) -> None:
+def test_the_kernel_says_what_the_plain_way_says(seed: int, rules: PieceRules) -> None:
     points, rows = _points(seed, lines=seed % 5, clutter=20 * seed)
-    plain, fast = plain_pieces(points, rows), straight_pieces(points, rows)
+    plain, fast = plain_pieces(points, rows, rules), straight_pieces(points, rows, rules)
     assert len(plain) == len(fast)
     for one, two in zip(plain, fast, strict=True):
         assert sorted(one.members.tolist()) == sorted(two.members.tolist())
