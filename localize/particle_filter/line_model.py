@@ -7,7 +7,7 @@ choice of each piece is an optimum by itself. Along the line nothing is measured
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle
 from polemap.drivelog.line_detections import LineDetections
 from polemap.localize.particle_filter.line_parts import NearLines
-from polemap.vehicle.pose import rotate, wrap_angle
+from polemap.vehicle.pose import rotate, rotate_back, wrap_angle
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -143,6 +143,12 @@ class Geometry:
         )
 
 
+_PROBE = Pieces(
+    np.zeros(1, dtype=np.int8), np.zeros(1, dtype=np.int8), np.array([[_PROBE_M, 0.0]]),
+    *(np.zeros(1) for _ in range(6)),
+)  # fmt: skip
+
+
 def undirected(angle_rad: Floats) -> Floats:
     """Angles between lines, in [-pi/2, pi/2)."""
     return np.asarray(0.5 * wrap_angle(2.0 * np.asarray(angle_rad)))
@@ -173,8 +179,45 @@ def station_bounds(near: NearLines) -> tuple[Floats, Floats]:
     return low, high
 
 
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How far poses lie apart.
+
+    Attributes:
+        centre: `(3,)` the middle of their box, which lies along `centre[2]`.
+        half_m: `(2,)` half of the box along and aside.
+        turned_rad: `(n,)` from the centre's yaw.
+        half_rad: the largest of them.
+    """
+
+    centre: Floats
+    half_m: Floats
+    turned_rad: Floats
+    half_rad: float
+
+    @classmethod
+    def of(cls, poses: Floats) -> Spread:
+        """Of poses `(n, 3)`."""
+        turned = wrap_angle(poses[:, 2] - poses[0, 2])
+        low, high = float(turned.min()), float(turned.max())
+        yaw = poses[0, 2] + 0.5 * (low + high)
+        local = np.ascontiguousarray(rotate_back(poses[:, :2] - poses[0, :2], yaw).T)
+        least, most = local.min(axis=1), local.max(axis=1)
+        place = poses[0, :2] + rotate(0.5 * (least + most), yaw)
+        half = 0.5 * (high - low)
+        return cls(np.array([*place, yaw]), 0.5 * (most - least), turned - 0.5 * (low + high), half)
+
+    def reaches(self, pieces: Pieces, near: NearLines) -> tuple[Floats, Floats]:
+        """How far pieces lie from where the centre sees them at most, across and along the parts,
+        `(k, s)` each."""
+        along, aside = np.abs(rotate_back(near.along, self.centre[2])).T
+        swing = (self.half_rad * np.hypot(*pieces.middle_m.T))[:, None]
+        a, b = self.half_m
+        return swing + (a * aside + b * along), swing + (a * along + b * aside)
+
+
 def line_log_likelihood(
-    poses: Floats, pieces: Pieces, near: NearLines, *, count_misses: bool = False
+    poses: Floats, pieces: Pieces, near: NearLines, spread: Spread, *, count_misses: bool = False
 ) -> Floats:
     """Log-likelihood `(n,)` of pieces at rear-axle poses `(n, 3)` that lie close together.
 
@@ -186,23 +229,22 @@ def line_log_likelihood(
     Only pairs that one of the poses could want are looked at; for those the result is exact.
 
     Args:
+        spread: of the poses.
         count_misses: charge every pose for the lines beside it of which no piece was seen. Poses
             within a metre see the same lines, and need not.
 
     Source: the mixture of a hit and of clutter, Thrun, Burgard, Fox (2005), section 6.3, here
     across a line and in direction.
     """
-    centre = _middle(poses)
-    bound, spread_rad = _bounds(poses, centre, pieces)
-    at_centre = Geometry.at(centre, pieces, near)
+    at_centre = Geometry.at(spread.centre, pieces, near)
     features = _features(poses, near.origin_m)
-    turned = wrap_angle(poses[:, 2] - centre[2])
+    reaches = spread.reaches(pieces, near)
     total = np.full(len(poses), 0.0)
     low, high = station_bounds(near)
-    known, unsure = _known(at_centre, near, bound)
-    pairs = _Pairs.of(at_centre, pieces, near, bound, spread_rad, features, turned)
+    known, unsure = _known(at_centre, near, reaches)
+    pairs = _Pairs.of(at_centre, pieces, near, spread, reaches, features)
     if count_misses:
-        total += _misses(features, pieces, near, pairs)
+        total += _misses(features, pieces, near, pairs, spread)
     for k, best in enumerate(pairs.best(len(pieces))):
         here = pieces.log_clutter[k] if best is None else np.logaddexp(pieces.log_clutter[k], best)
         if known[k]:
@@ -228,19 +270,20 @@ class _Pairs:
 
     @classmethod
     def of(
-        cls, at_centre: Geometry, pieces: Pieces, near: NearLines, bound: Floats,
-        spread_rad: float, features: Floats, turned: Floats,
+        cls, at_centre: Geometry, pieces: Pieces, near: NearLines, spread: Spread,
+        reaches: tuple[Floats, Floats], features: Floats,
     ) -> _Pairs:  # fmt: skip
         """Those that a pose within the bounds could want."""
         log_value, variance_m2, variance_rad2 = pair_constants(pieces, near)
         low, high = station_bounds(near)
-        reach = bound[:, None]
-        wanted = np.abs(at_centre.across_m) <= _GATE_SD * np.sqrt(variance_m2) + reach
-        wanted &= np.abs(at_centre.turn_rad) <= _GATE_SD * np.sqrt(variance_rad2) + spread_rad
-        wanted &= (at_centre.station_m >= low - reach) & (at_centre.station_m <= high + reach)
+        across_m, along_m = reaches
+        gate_rad = _GATE_SD * np.sqrt(variance_rad2) + spread.half_rad
+        wanted = np.abs(at_centre.across_m) <= _GATE_SD * np.sqrt(variance_m2) + across_m
+        wanted &= np.abs(at_centre.turn_rad) <= gate_rad
+        wanted &= (at_centre.station_m >= low - along_m) & (at_centre.station_m <= high + along_m)
         piece, part = np.nonzero(wanted & at_centre.same_kind)
         across, station = _placed(features, pieces, near, piece, part)
-        turn = at_centre.turn_rad[piece, part] + turned[:, None]
+        turn = at_centre.turn_rad[piece, part] + spread.turned_rad[:, None]
         value = across * across * (-0.5 / variance_m2[piece, part])
         value += turn * turn * (-0.5 / variance_rad2[piece, part])
         value += log_value[piece, part]
@@ -258,28 +301,23 @@ class _Pairs:
         return largest
 
 
-def _misses(features: Floats, pieces: Pieces, near: NearLines, pairs: _Pairs) -> Floats:
+def _misses(
+    features: Floats, pieces: Pieces, near: NearLines, pairs: _Pairs, spread: Spread
+) -> Floats:
     """Log-likelihood `(n,)` of having seen nothing of lines beside the car."""
-    probe = features @ np.stack(
-        [
-            -near.along[:, 1], near.along[:, 0], -_PROBE_M * near.along[:, 1],
-            _PROBE_M * near.along[:, 0],
-            near.along[:, 1] * near.start_m[:, 0] - near.along[:, 0] * near.start_m[:, 1],
-        ]
-    )  # fmt: skip
-    station = features @ np.stack(
-        [
-            near.along[:, 0], near.along[:, 1], _PROBE_M * near.along[:, 0],
-            _PROBE_M * near.along[:, 1], -(near.along * near.start_m).sum(axis=1),
-        ]
-    )  # fmt: skip
     view = np.array([KIND_MODELS[kind].view_m for kind in near.kind.tolist()])
-    beside = (np.abs(probe) <= view) & (station >= 0.0) & (station <= near.length_m)
+    probe = replace(_PROBE, kind=near.kind[:1])
+    at = Geometry.at(spread.centre, probe, near)
+    reach_m = float(np.hypot(*spread.half_m)) + _PROBE_M * spread.half_rad
+    possible = (np.abs(at.across_m[0]) <= view + reach_m) & (at.station_m[0] >= -reach_m)
+    part = np.flatnonzero(possible & (at.station_m[0] <= near.length_m + reach_m))
+    across, station = _placed(features, probe, near, np.zeros_like(part), part)
+    beside = (np.abs(across) <= view[part]) & (station >= 0.0) & (station <= near.length_m[part])
     fits = pairs.value > pieces.log_clutter[pairs.piece]
     out = np.zeros(len(features))
-    for line in np.unique(near.line[beside.any(axis=0)]).tolist():
-        mine = near.line == line
-        first = int(np.flatnonzero(mine)[0])
+    for line in np.unique(near.line[part]).tolist():
+        mine = near.line[part] == line
+        first = int(part[mine][0])
         detection = KIND_MODELS[int(near.kind[first])].detection * near.existence[first]
         missed = beside[:, mine].any(axis=1) & ~fits[:, near.line[pairs.part] == line].any(axis=1)
         out += np.where(missed, np.log1p(-detection), 0.0)
@@ -307,31 +345,18 @@ def _placed(
     return features @ across, features @ station
 
 
-def _middle(poses: Floats) -> Floats:
-    low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
-    yaw = np.arctan2(np.sin(poses[:, 2]).mean(), np.cos(poses[:, 2]).mean())
-    return np.array([*(0.5 * (low + high)), yaw])
-
-
-def _bounds(poses: Floats, centre: Floats, pieces: Pieces) -> tuple[Floats, float]:
-    """How far the pieces `(k,)` lie apart from where the centre sees them at most, and the turn."""
-    spread_m = float(np.sqrt(((poses[:, :2] - centre[:2]) ** 2).sum(axis=1).max()))
-    spread_rad = float(np.abs(wrap_angle(poses[:, 2] - centre[2])).max())
-    return spread_m + spread_rad * np.hypot(*pieces.middle_m.T), spread_rad
-
-
 def _known(
-    at_centre: Geometry, near: NearLines, bound: Floats
+    at_centre: Geometry, near: NearLines, reaches: tuple[Floats, Floats]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Pieces `(k,)` for which all poses lie beside a line of their kind, and the parts `(k, s)`
     that must be asked for the others."""
-    reach = bound[:, None]
+    across_m, reach = reaches
     station = at_centre.station_m
     inside = (station >= 0.0) & (station <= near.length_m)
     inside &= (near.before_m + station >= reach) & (near.after_m + near.length_m - station >= reach)
-    sure = at_centre.same_kind & inside & (np.abs(at_centre.across_m) <= KNOWN_M - reach)
+    sure = at_centre.same_kind & inside & (np.abs(at_centre.across_m) <= KNOWN_M - across_m)
     known: NDArray[np.bool_] = np.any(sure, axis=1)
-    possible = at_centre.same_kind & (np.abs(at_centre.across_m) <= KNOWN_M + reach)
+    possible = at_centre.same_kind & (np.abs(at_centre.across_m) <= KNOWN_M + across_m)
     low, high = station_bounds(near)
     possible &= (station >= low - reach) & (station <= high + reach)
     return np.asarray(known), np.asarray(possible & ~known[:, None])

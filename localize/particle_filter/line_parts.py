@@ -62,11 +62,10 @@ class LineIndex:
         self._before = total[:-1] - total[first]
         self._after = total[last] - total[1:]
 
-    def near(self, centre_m: Floats, radius_m: float, kinds: NDArray[np.int8]) -> NearLines:
-        """Parts of some kinds within a radius of a place `(2,)`."""
+    def near(self, centre_m: Floats, radius_m: float) -> NearLines:
+        """Parts within a radius of a place `(2,)`."""
         rows = self._lines.within(centre_m, radius_m)
         parts = self._lines.segments
-        rows = rows[np.isin(parts.kind[rows], kinds)]
         along = self._along[rows]
         return NearLines(
             origin_m=np.array(centre_m, dtype=np.float64),

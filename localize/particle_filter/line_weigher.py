@@ -11,20 +11,23 @@ from polemap.drivelog.line_detections import LineDetections
 from polemap.localize.particle_filter.line_model import (
     Geometry,
     Pieces,
+    Spread,
     line_log_likelihood,
     pair_constants,
     station_bounds,
 )
 from polemap.localize.particle_filter.line_parts import LineIndex, NearLines
 from polemap.map.line_map import LineMap
-from polemap.vehicle.pose import rotate, wrap_angle
+from polemap.vehicle.pose import rotate, rotate_back
 
 Floats = NDArray[np.float64]
 
 # poses this close are weighed together: the pairs that one of them could want are few
-_CELL_M, _CELL_RAD = 4.0, 0.2
+_CELL_M, _CELL_ALONG_M, _CELL_RAD = 4.0, 20.0, 0.2
 # parts of lines are asked for so far around what a piece could be
 _REACH_M = 25.0
+# and so much further, to serve the next frames too
+_AHEAD_M = 15.0
 # lines this far apart in direction are not one and the same
 _ALIKE_RAD = 0.2
 # share of the variance of a piece that all pieces of a frame have in common: roll, pitch and yaw of
@@ -76,6 +79,11 @@ def frame_share(pieces: int) -> float:
     return 1.0 / (1.0 + (max(pieces, 1) - 1) * SHARED)
 
 
+def _together(spread: Spread) -> bool:
+    """Whether poses are close enough along and in yaw to be weighed at once."""
+    return bool(spread.half_m[0] <= _CELL_ALONG_M and spread.half_rad <= _CELL_RAD)
+
+
 def line_share(moved_m: float, elapsed_s: float) -> float:
     """How much of a frame's lines is independent of the last one's; see `independent_share`."""
     return float(min(1.0, moved_m / (2.0 * _CORRELATION_M) + elapsed_s / (2.0 * _CORRELATION_S)))
@@ -86,11 +94,15 @@ class LineWeigher:
 
     def __init__(self, lines: LineMap | None) -> None:
         self._index: LineIndex | None = None
+        # the parts that the last question has found, and where it was asked
+        self._last: NearLines | None = None
+        self._last_radius_m = 0.0
         self.use_lines(lines)
 
     def use_lines(self, lines: LineMap | None) -> None:
         """Go on with other lines, of the same frame."""
         self._index = LineIndex(lines) if lines is not None and len(lines) else None
+        self._last = None
 
     @property
     def empty(self) -> bool:
@@ -103,28 +115,36 @@ class LineWeigher:
             return np.zeros(len(rear))
         pieces = Pieces.of(lines)
         share = frame_share(len(pieces))
-        low, high = rear[:, :2].min(axis=0), rear[:, :2].max(axis=0)
-        yaw = wrap_angle(rear[:, 2] - rear[0, 2])
-        if np.max(high - low) <= _CELL_M and np.ptp(yaw) <= 2.0 * _CELL_RAD:
-            wide = bool(np.max(high - low) > 1.0)
-            return share * self._weigh_together(rear, pieces, count_misses=wide)
-        cell = np.column_stack([np.floor((rear[:, :2] - low) / _CELL_M), np.floor(yaw / _CELL_RAD)])
-        _, group = np.unique(cell, axis=0, return_inverse=True)
+        spread = Spread.of(rear)
+        if spread.half_m[1] <= 0.5 * _CELL_M and _together(spread):
+            return share * self._weigh_together(rear, pieces, spread, count_misses=False)
+        local = rotate_back(rear[:, :2] - spread.centre[:2], spread.centre[2])
+        cell = np.column_stack([local / (_CELL_ALONG_M, _CELL_M), spread.turned_rad / _CELL_RAD])
+        _, group = np.unique(np.floor(cell), axis=0, return_inverse=True)
         order = np.argsort(group.ravel(), kind="stable")
         out = np.empty(len(rear))
         for rows in np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1):
-            out[rows] = self._weigh_together(rear[rows], pieces, count_misses=True)
+            own = Spread.of(rear[rows])
+            out[rows] = self._weigh_together(rear[rows], pieces, own, count_misses=True)
         return share * out
 
-    def _weigh_together(self, rear: Floats, pieces: Pieces, *, count_misses: bool) -> Floats:
-        low, high = rear[:, :2].min(axis=0), rear[:, :2].max(axis=0)
-        near = self._near(0.5 * (low + high), 0.5 * float(np.hypot(*(high - low))), pieces)
-        return line_log_likelihood(rear, pieces, near, count_misses=count_misses)
+    def _weigh_together(
+        self, rear: Floats, pieces: Pieces, spread: Spread, *, count_misses: bool
+    ) -> Floats:
+        near = self._near(spread.centre[:2], float(np.hypot(*spread.half_m)), pieces)
+        return line_log_likelihood(rear, pieces, near, spread, count_misses=count_misses)
 
     def _near(self, centre_m: Floats, spread_m: float, pieces: Pieces) -> NearLines:
         assert self._index is not None
-        farthest = float(np.hypot(*pieces.middle_m.T).max())
-        return self._index.near(centre_m, farthest + spread_m + _REACH_M, np.unique(pieces.kind))
+        radius_m = float(np.hypot(*pieces.middle_m.T).max()) + spread_m + _REACH_M
+        last = self._last
+        if last is not None:
+            away_m = float(np.hypot(*(centre_m - last.origin_m)))
+            if away_m + radius_m <= self._last_radius_m <= 2.0 * radius_m:
+                return last
+        self._last_radius_m = radius_m + _AHEAD_M
+        self._last = self._index.near(centre_m, self._last_radius_m)
+        return self._last
 
     def match(self, pose: Floats, lines: LineDetections, *, nearest: bool = False) -> LineMatch:
         """The line of each piece from one pose `(3,)`, by which it is likelier than clutter.
