@@ -16,10 +16,12 @@ from polemap.build.drive_observations import DriveObservations, join_cannot_link
 from polemap.build.earlier import earlier_drives, successors_of
 from polemap.build.existence import Evidence, Visibility, detection_probability, evidence, existence
 from polemap.build.history import COLUMN, OldMap, open_history, write_history
+from polemap.build.lines.merge_lines import merge_lines
 from polemap.build.map_columns import (
     building_reports,
     distinct,
     evidence_columns,
+    facing_column,
     kind_column,
     weighted,
 )
@@ -27,7 +29,7 @@ from polemap.build.merge import Merged
 from polemap.build.registration import NO_SHIFT, Shift, register
 from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.pole_map import PoleMap, join_maps
+from polemap.map.pole_map import FACING_COLUMN, PoleMap, join_maps
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -97,7 +99,9 @@ def assemble_map(
         landmarks, cannot_link, ordered, config, floor, run=run, tile_m=tile_m
     )
     evidences, said = _all_evidence(ordered, seen, old, merged, stood)
-    built = _finish(landmarks, merged, evidences, old, update, config, frame)
+    built = _finish(ordered, landmarks, merged, evidences, old, update, config, frame)
+    lines = merge_lines(ordered, config, frame, update.lines if update is not None else None)
+    built = replace(built, pole_map=replace(built.pole_map, lines=lines))
     reports = building_reports(ordered, shifts, align, merged, drifts)
     reports = (*reports, said) if said is not None else reports
     if old is not None and old.moved:
@@ -182,6 +186,7 @@ def _all_evidence(
 
 
 def _finish(
+    ordered: Sequence[DriveObservations],
     landmarks: TraversalLandmarks,
     merged: Merged,
     drives: list[tuple[str, float, Evidence]],
@@ -217,6 +222,7 @@ def _finish(
         extra={
             **evidence_columns(landmarks, merged.owner, drives, n),
             **kind_column(landmarks, merged.owner, n),
+            **facing_column(ordered, merged.owner, _known_facing(update, successors), n),
         },
     )
     # a pole that is known stays in doubt, a new one has to win it
@@ -231,6 +237,16 @@ def _finish(
     doubtful = replace(doubtful, existence=np.minimum(doubtful.existence, just_below))
     standing = replace(every.rows(keep), doubtful=doubtful)
     return BuiltMap(standing, every.rows(known & ~keep), {}, ())
+
+
+def _known_facing(update: PoleMap | None, successors: Whole | None) -> dict[int, float]:
+    """Free sides that the old map knew, by row of the new one."""
+    if update is None or successors is None or FACING_COLUMN not in update.extra:
+        return {}
+    facing = update.extra[FACING_COLUMN]
+    return {
+        int(new): float(facing[row]) for row, new in successors.tolist() if np.isfinite(facing[row])
+    }
 
 
 def _with_history(

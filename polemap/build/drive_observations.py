@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from polemap.build.config import MappingConfig
 from polemap.build.drift import Drift, middle_s
 from polemap.build.georeference import MapDetections, georeference_scans
+from polemap.build.lines.seen_lines import SeenLines, seen_lines
 from polemap.build.registration import Shift, moved_detections, moved_landmarks
 from polemap.build.traversals import (
     TraversalLandmarks,
@@ -32,12 +33,14 @@ class DriveObservations:
     Attributes:
         rows: `(len(detections),)` traversal landmark of each detection.
         cannot_link: `(k, 2)` pairs of traversal landmarks that were seen side by side.
+        lines: pieces of lines, None of a detector that looks for none.
     """
 
     detections: MapDetections
     landmarks: TraversalLandmarks
     rows: Whole
     cannot_link: Whole
+    lines: SeenLines | None = None
 
     @property
     def order(self) -> tuple[float, str]:
@@ -96,9 +99,11 @@ def observe_drive(
     )
     numbers = associate(detections, config)
     landmarks, rows = average_traversals(detections, numbers)
-    return DriveObservations(
-        detections, landmarks, rows, cannot_link_pairs(rows, detections.scan, len(landmarks))
+    lines = seen_lines(
+        scans, detections.views, reference, config.reference_sd_m, config.reference_yaw_sd_rad
     )
+    links = cannot_link_pairs(rows, detections.scan, len(landmarks))
+    return DriveObservations(detections, landmarks, rows, links, lines)
 
 
 def join_cannot_link(parts: Sequence[Whole], lengths: Sequence[int]) -> Whole:

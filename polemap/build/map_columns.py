@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from polemap.build.existence import Evidence
 from polemap.build.merge import Merged
 from polemap.build.registration import Shift
 from polemap.build.traversals import TraversalLandmarks
-from polemap.map.pole_map import KIND_COLUMN
+from polemap.map.pole_map import FACING_COLUMN, KIND_COLUMN
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -43,6 +43,29 @@ def kind_column(
     kind = np.zeros(n, dtype=np.int8)
     kind[owner] = landmarks.kind
     return {KIND_COLUMN: kind}
+
+
+def facing_column(
+    ordered: Sequence[DriveObservations], owner: Whole, known: Mapping[int, float], n: int
+) -> dict[str, NDArray[np.generic]]:
+    """The free side `(n,)` of every corner, from grid east; NaN of what has none.
+
+    Args:
+        owner: landmark of the map of every traversal landmark, drive after drive.
+        known: what an earlier map knew, by landmark; it counts as one look.
+    """
+    total, start = np.zeros(n, dtype=np.complex128), 0
+    for part in ordered:
+        mine = owner[start : start + len(part.landmarks)]
+        start += len(part.landmarks)
+        facing = part.detections.facing_rad
+        told = np.isfinite(facing) & (part.rows >= 0)
+        np.add.at(total, mine[part.rows[told]], np.exp(1j * facing[told]))
+    for row, facing_rad in known.items():
+        total[row] += np.exp(1j * facing_rad)
+    if not total.any():
+        return {}
+    return {FACING_COLUMN: np.where(np.abs(total) > 0.0, np.angle(total), np.nan)}
 
 
 def evidence_columns(

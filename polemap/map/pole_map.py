@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 KIND_COLUMN = "landmark_kind"
+FACING_COLUMN = "facing_rad"
 _SAME_LENGTH = (
     "points_m", "covariance_m2", "width_m", "height_m", "observations", "drives", "existence",
 )  # fmt: skip

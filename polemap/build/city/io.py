@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from polemap.build.drive_observations import DriveObservations
 from polemap.build.georeference import MapDetections, ScanViews
+from polemap.build.lines.seen_lines import SeenLines
 from polemap.build.traversals import TraversalLandmarks
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import InputError
@@ -22,7 +23,7 @@ from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import named
 from polemap.parsing.json_text import parse_json
 
-_VERSION = 5
+_VERSION = 6
 _KEY = re.compile("[0-9a-f]{32}")
 
 
@@ -52,6 +53,8 @@ def observation_arrays(part: DriveObservations) -> tuple[dict[str, Any], dict[st
         ("landmarks", part.landmarks),
     ):
         arrays |= {f"{name}.{column}": values for column, values in table.arrays().items()}
+    if part.lines is not None:
+        arrays |= {f"lines.{name}": values for name, values in part.lines.arrays().items()}
     return head, arrays
 
 
@@ -88,7 +91,14 @@ def observations_of(head: Mapping[str, Any], file: Mapping[str, NDArray[Any]]) -
         without_pose=int(head["without_pose"]),
     )
     landmarks = TraversalLandmarks.from_arrays(_columns(file, "landmarks"))
-    return DriveObservations(detections, landmarks, file["rows"], file["cannot_link"])
+    lines = _columns(file, "lines")
+    return DriveObservations(
+        detections,
+        landmarks,
+        file["rows"],
+        file["cannot_link"],
+        SeenLines.from_arrays(lines) if lines else None,
+    )
 
 
 def _columns(file: Mapping[str, NDArray[Any]], table: str) -> dict[str, NDArray[Any]]:

@@ -1,0 +1,1 @@
+"""Lines of a map: from the pieces that drives saw to polylines."""
