@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.campaign.drives import Case, street
 from polemap.drivelog.detections import Detections
-from polemap.vehicle.pose import rotation
+from polemap.vehicle.pose import rotate_back, rotation, wrap_angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +22,8 @@ class Faulty:
 
 
 Kind = Callable[[int], Faulty]
+# of a picture's direction of motion, as on KITTI 03
+_COURSE_SD_RAD = 0.002
 
 
 def scans_changed(
@@ -94,3 +96,26 @@ def turned(by_rad: float) -> Callable[[Detections], Detections]:
         points_vehicle_m=scan.points_vehicle_m @ turn.T,
         covariance_m2=turn @ scan.covariance_m2 @ turn.T,
     )
+
+
+def with_course(kind: Kind, by_rad: float = 0.0) -> Kind:
+    """A kind whose odometry is that of the detector's own camera, which sees its course, turned."""
+
+    def course_kind(seed: int) -> Faulty:
+        faulty = kind(seed)
+        drive = faulty.case.drive
+        odometry, reference = drive.odometry, drive.reference
+        assert odometry is not None
+        assert reference is not None
+        before, after = (reference.at(odometry.stamp_s + by_s) for by_s in (-0.05, 0.05))
+        moved = rotate_back(
+            after[:, :2] - before[:, :2],
+            before[:, 2] + 0.5 * wrap_angle(after[:, 2] - before[:, 2]),
+        )
+        slip = np.arctan2(moved[:, 1], np.maximum(moved[:, 0], 1e-3))
+        noise = _COURSE_SD_RAD * np.random.default_rng([seed, 79]).standard_normal(len(slip))
+        lateral = odometry.speed_mps * np.tan(slip + noise + by_rad)
+        odometry = replace(odometry, lateral_mps=lateral)
+        return replace(faulty, case=replace(faulty.case, drive=replace(drive, odometry=odometry)))
+
+    return course_kind

@@ -15,6 +15,7 @@ from benchmarks.campaign.detector_faults import (
     scans_at_another_time,
     scans_changed,
     turned,
+    with_course,
 )
 from benchmarks.campaign.drives import STREET, car_park, street
 from benchmarks.campaign.faults import (
@@ -83,6 +84,10 @@ KINDS: dict[str, Kind] = {
     "detector ranges x 1.1 from the start": scans_changed(ranges_times(1.1), start_s=-1.0),
     "detector turned by 2 degrees from the start": scans_changed(
         turned(np.radians(2.0)), start_s=-1.0
+    ),
+    "none, course from the camera": with_course(lambda seed: Faulty(street(seed))),
+    "camera turned by 2 degrees from the start, its own course": with_course(
+        scans_changed(turned(np.radians(2.0)), start_s=-1.0), np.radians(2.0)
     ),
     "detector ranges x 0.9": scans_changed(ranges_times(0.9)),
     "detector ranges x 1.1": scans_changed(ranges_times(1.1)),
