@@ -28,7 +28,7 @@ from polemap.vehicle.pose import pose_rotation, rotate_back, wrap_angle
 
 Floats = NDArray[np.float64]
 
-_BASE = PointScenario(duration_s=50.0)
+_BASE = PointScenario(duration_s=45.0)
 _GAP = (150.0, 350.0)
 _WHOLE = (-np.inf, np.inf)
 

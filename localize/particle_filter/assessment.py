@@ -221,7 +221,7 @@ class Assessment:
             return
         if done.restarted:
             self._lines.trust.forget()
-        elif self._recovery.held(done.scan.stamp_s):
+        elif self._recovery.held_anew(done.scan.stamp_s):
             self._lines.trust.confirm()
         one = modes == 1 and minor <= PROVEN_SD_M and major <= _RIDGE_MAX_M
         if not self._lines.trust.doubted:

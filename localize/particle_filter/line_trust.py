@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 # of a frame: lines this many deviations off are not used, and after so long a way of such frames
 # the kind is not believed: the place gets less sure without lines, so the first ones say the most
 _FRAME_SD, _HELD_MAX_M, _FINE_SD = 3.0, 3.0, 2.0
+# errors of lines last, so a step of this size, and of so many deviations of what is seen, is paint;
+# lines as near as this are no step, whatever came before; what is usual is known after a way
+_STEP_M, _STEP_SD, _NEAR_SD, _USUAL_M = 0.25, 3.0, 1.5, 10.0
 # cumulative sums of what exceeds one deviation, per independent frame: by chance once in thousands
 _SLACK_SD, _LIMIT, _MOST = 1.0, 4.0, 6.0
 # a place known worse than this across says nothing of lines that other lanes have too
@@ -36,14 +39,37 @@ _FARTHEST_M = 3.5
 _ASIDE = 0.87
 
 
+@dataclass(frozen=True, slots=True)
+class _Offset:
+    """How far the lines of a kind lie left of where the map has them, in metres and in deviations,
+    the deviation of the place in that direction, and of what is seen."""
+
+    aside_m: float
+    distance_sd: float
+    place_sd_m: float
+    seen_sd_m: float
+
+
 @dataclass(slots=True)
 class _KindTrust:
     """Sums for lines that lie too far right, and left; independent frames that have fitted; way on
-    which frames were left out."""
+    which frames were left out; how far aside lines usually lie, and the way that tells so."""
+
+    def steps(self, off: _Offset, moved_m: float) -> bool:
+        """Take in how far aside lines lie; whether that is a step from what was usual."""
+        step = abs(off.aside_m - self.usual_m) > max(_STEP_M, _STEP_SD * off.seen_sd_m)
+        if step and abs(off.distance_sd) > _NEAR_SD and self.way_m >= _USUAL_M:
+            return True
+        self.way_m += moved_m
+        weight = min(1.0, max(moved_m, 0.05) / min(self.way_m + 0.05, _USUAL_M))
+        self.usual_m += weight * (off.aside_m - self.usual_m)
+        return False
 
     sums: Floats = field(default_factory=lambda: np.zeros(2))
     fitting: float = 0.0
     held_m: float = 0.0
+    usual_m: float = 0.0
+    way_m: float = 0.0
     suspended: bool = False
 
 
@@ -107,7 +133,7 @@ class LineTrust:
         off = _aside(match, kind, pose, covariance)
         if off is None:
             return not trust.suspended
-        distance_sd, place_sd_m = off
+        distance_sd, place_sd_m = off.distance_sd, off.place_sd_m
         if place_sd_m > _JUDGE_SD_M:
             if trust.suspended and place_sd_m > _LOST_SD_M:
                 self._kinds[kind] = _KindTrust()
@@ -115,9 +141,10 @@ class LineTrust:
             return not self._kinds[kind].suspended
         over = np.array([distance_sd, -distance_sd]) - _SLACK_SD
         trust.sums = np.clip(trust.sums + share * over, 0.0, _MOST)
-        far = abs(distance_sd) > _FRAME_SD
+        step = not trust.suspended and trust.steps(off, moved_m)
+        far = abs(distance_sd) > _FRAME_SD or step
         trust.held_m += moved_m if far else 0.0
-        trust.held_m *= abs(distance_sd) > _FINE_SD
+        trust.held_m *= far or abs(distance_sd) > _FINE_SD
         out = trust.sums.max() >= _LIMIT or trust.held_m >= _HELD_MAX_M
         if not trust.suspended and out:
             trust.suspended, trust.fitting, trust.held_m = True, 0.0, 0.0
@@ -127,19 +154,15 @@ class LineTrust:
             sure = place_sd_m <= _SURE_SD_M
             trust.fitting = trust.fitting + share * sure if fits else 0.0
             if trust.fitting >= _FITS_FRAMES:
-                trust.suspended = False
-                trust.sums[:] = 0.0
+                trust = self._kinds[kind] = _KindTrust()
         if far:
             self._counts["line_frames_held"] += 1
             return False
         return not trust.suspended
 
 
-def _aside(
-    match: LineMatch, kind: int, pose: Floats, covariance: Floats
-) -> tuple[float, float] | None:
-    """How far the lines of a kind lie left of where the map has them, in deviations, and the
-    deviation of the place in that direction; None where none runs along."""
+def _aside(match: LineMatch, kind: int, pose: Floats, covariance: Floats) -> _Offset | None:
+    """Where the lines of a kind lie; None where none runs along."""
     left = np.array([-np.sin(pose[2]), np.cos(pose[2])])
     sense = match.normal @ left
     mine = (match.kind == kind) & (np.abs(match.across_m) <= _FARTHEST_M)
@@ -156,5 +179,6 @@ def _aside(
     place = float(jacobian @ covariance @ jacobian)
     seen, lines = match.seen_m2[rows], np.unique(match.ids[rows])
     own = SHARED * float(weight @ seen) + (1.0 - SHARED) * float(weight**2 @ seen)
+    seen_sd = float(np.sqrt(own))
     own += float(weight @ match.mapped_m2[rows]) / len(lines)
-    return middle / float(np.sqrt(place + own)), float(np.sqrt(place))
+    return _Offset(middle, middle / float(np.sqrt(place + own)), float(np.sqrt(place)), seen_sd)
