@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from polemap.simulate.camera_mounting import CameraConfig
 from polemap.simulate.faults import Fault
@@ -104,6 +104,59 @@ class DetectorConfig(_Section):
     latency_s: float = Field(0.1, ge=0.0, description="From looking to the scan's arrival, s.")
 
 
+class LineDetectorConfig(_Section):
+    """A detector of markings and kerbs: straight pieces of a few metres with stated errors."""
+
+    range_max_m: float = Field(20.0, gt=4.0, description="Farthest piece seen, ahead, m.")
+    piece_m: float = Field(6.0, gt=1.0, description="Longest piece, m.")
+    detected_share: float = Field(
+        0.7, ge=0.0, le=1.0, description="Of the pieces in view, the share that a scan holds."
+    )
+    clutter_per_scan: float = Field(
+        0.3, ge=0.0, description="Pieces a scan that are no line: shadows, seams."
+    )
+    offset_sd_m: float = Field(0.05, gt=0.0, description="Error across a piece, sd, m.")
+    offset_sd_per_m: float = Field(
+        0.004, ge=0.0, description="What is added to it, in squares, per metre of distance, sd."
+    )
+    frame_share: float = Field(
+        0.3, ge=0.0, le=1.0, description="Share of its variance that all pieces of a scan have."
+    )
+    lasting_share: float = Field(
+        0.2, ge=0.0, le=1.0, description="Share that they have, and that lasts, too."
+    )
+    lasting_s: float = Field(10.0, gt=0.0, description="For how long it lasts, s.")
+    direction_sd_rad: float = Field(0.01, gt=0.0, description="Error of the direction, sd, rad.")
+
+    @model_validator(mode="after")
+    def _shares_leave_room(self) -> LineDetectorConfig:
+        if self.frame_share + self.lasting_share > 1.0:
+            raise ValueError("frame_share and lasting_share are more than 1 together")
+        return self
+
+
+class CornerDetectorConfig(_Section):
+    """A detector of corners of houses, beside that of poles and with its field of view."""
+
+    range_max_m: float = Field(25.0, gt=3.0, description="Farthest corner seen, m.")
+    detected_share: float = Field(
+        0.5, ge=0.0, le=1.0, description="Of the corners in view, the share that a scan holds."
+    )
+    clutter_share: float = Field(
+        0.2, ge=0.0, lt=1.0, description="Of what a scan holds, the share that is no corner."
+    )
+    range_sd_per_m2: float = Field(
+        0.001, ge=0.0, description="Error of the range over its square, sd, 1/m."
+    )
+    bearing_sd_rad: float = Field(
+        0.003, ge=0.0, description="Error across the line of sight, sd, rad."
+    )
+    correlated_share: float = Field(
+        0.5, ge=0.0, le=1.0, description="Share of the variance that stays with a corner."
+    )
+    facing_sd_rad: float = Field(0.1, ge=0.0, description="Error of the free side, sd, rad.")
+
+
 class SimulateConfig(_Section):
     """Every setting of the simulator."""
 
@@ -113,6 +166,11 @@ class SimulateConfig(_Section):
     gnss: GnssConfig = GnssConfig()
     reference: ReferenceConfig = ReferenceConfig()
     detector: DetectorConfig = DetectorConfig()
+    further_kinds: tuple[Literal["lines", "corners"], ...] = Field(
+        (), description="What scans hold beside poles, as in [lines, corners]."
+    )
+    line_detector: LineDetectorConfig = LineDetectorConfig()
+    corner_detector: CornerDetectorConfig = CornerDetectorConfig()
     light: Literal["scenario", "dusk", "overcast"] = Field(
         "scenario", description="Time of day and weather; scenario is what the scenario says."
     )

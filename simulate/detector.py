@@ -57,6 +57,10 @@ class PoleDetector:
 
     def scan(self, stamp_s: float, pose: Floats) -> Detections:
         """The scan from a rear-axle pose `(3,)`."""
+        return self.scan_with_rows(stamp_s, pose)[0]
+
+    def scan_with_rows(self, stamp_s: float, pose: Floats) -> tuple[Detections, NDArray[np.int64]]:
+        """The scan, and which of the points its first rows are; those that follow are none."""
         config, view, rng = self._config, self._view, self._rng
         self._forget(stamp_s)
         local = inverse_transform_points(pose, self._points)
@@ -76,7 +80,7 @@ class PoleDetector:
         )
         _, ghost_covariance = _measured(ghosts, np.zeros((false, 2)), view, config)
         count = len(rows) + false
-        return pole_detections(
+        scan = pole_detections(
             stamp_s=stamp_s,
             arrival_s=stamp_s + config.latency_s,
             points_vehicle_m=np.vstack([seen, ghosts]),
@@ -85,6 +89,7 @@ class PoleDetector:
             probability=np.full(count, _EXISTENCE),
             view=view,
         )
+        return scan, rows
 
     def _forget(self, stamp_s: float) -> None:
         """Let the part of the errors that lasts decay since the scan before."""

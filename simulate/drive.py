@@ -22,6 +22,7 @@ from polemap.simulate.config import SimulateConfig
 from polemap.simulate.detector import PoleDetector
 from polemap.simulate.dynamics import CAR
 from polemap.simulate.faults import age_map, apply_faults
+from polemap.simulate.kind_scans import with_kinds
 from polemap.simulate.route import make_route
 from polemap.simulate.scenario import Scenario, load_scenario
 from polemap.simulate.studio import Plan, make_plan, shots
@@ -32,6 +33,7 @@ from polemap.simulate.truth import (
     write_truth_pictures,
 )
 from polemap.simulate.world import World, make_world
+from polemap.simulate.world_lines import world_truth
 
 Floats = NDArray[np.float64]
 
@@ -97,6 +99,15 @@ def simulate_drive(
             draws,
         )
         seen = sensors.pole_scans(detector, plan.motion, config.detector.rate_hz)
+        if config.further_kinds:
+            seen = list(
+                with_kinds(
+                    seen, plan.motion, world_truth(world), config.detector,
+                    config.line_detector if "lines" in config.further_kinds else None,
+                    config.corner_detector if "corners" in config.further_kinds else None,
+                    np.random.default_rng([seed, 24]),
+                )
+            )  # fmt: skip
     with folder_writer(
         Path(out), name=f"{chosen.name}_{seed}", frame=frame, wheelbase_m=CAR.wheelbase_m,
         rig=config.camera.rig() if images else None, gnss_antenna_m=antenna, notes=notes,

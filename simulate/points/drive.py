@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
@@ -21,8 +22,15 @@ from polemap.drivelog.samples import Sample
 from polemap.drivelog.source_names import FOLDER
 from polemap.map.pole_map import PoleMap
 from polemap.simulate import sensors
-from polemap.simulate.config import DetectorConfig, GnssConfig, OdometryConfig
+from polemap.simulate.config import (
+    CornerDetectorConfig,
+    DetectorConfig,
+    GnssConfig,
+    LineDetectorConfig,
+    OdometryConfig,
+)
 from polemap.simulate.detector import PoleDetector
+from polemap.simulate.kind_scans import with_kinds
 from polemap.simulate.points.motion import (
     CityTraffic,
     MotionModel,
@@ -35,6 +43,7 @@ from polemap.simulate.points.poles import Poles, roadside_poles, scattered_poles
 from polemap.simulate.points.pose_source import PointPose, PoseSource
 from polemap.simulate.sensors import ReferenceErrors
 from polemap.simulate.skyline import Fronts
+from polemap.simulate.street_lines import Street, StreetTruth
 
 Floats = NDArray[np.float64]
 
@@ -74,6 +83,9 @@ class PointScenario:
         kidnap_s: moment at which the car is put `kidnap_m` ahead on its way, unknown to the
             odometry.
         start_s: stamp of the drive's begin.
+        street: the lines and corners along the path; None without any.
+        lines, corners: their detectors, None where there are none.
+        without_poles_m: a part of the path's length beside which no pole stands.
     """
 
     duration_s: float = 60.0
@@ -93,6 +105,10 @@ class PointScenario:
     kidnap_m: float = 50.0
     start_s: float = 0.0
     frame: EarthFrame = FRAME
+    street: Street | None = None
+    lines: LineDetectorConfig | None = None
+    corners: CornerDetectorConfig | None = None
+    without_poles_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +121,7 @@ class PointDrive:
         poles: where they really stand.
         pole_map: the map of them.
         poses: what the pose source gave, by stamp.
+        street: lines and corners as they are during the drive.
     """
 
     drive: Drive
@@ -112,6 +129,7 @@ class PointDrive:
     poles: Poles
     pole_map: PoleMap
     poses: tuple[PointPose, ...] = ()
+    street: StreetTruth = field(default_factory=StreetTruth)
 
     @property
     def samples(self) -> tuple[Sample, ...]:
@@ -141,19 +159,25 @@ def simulate_points(
     path = scenario.motion.drawn(scenario.duration_s + spare_s, rng)
     if poles is None:
         poles = _poles(path, scenario, rng)
+    if scenario.without_poles_m is not None:
+        poles = poles.rows(~_beside(poles.points_m, path, scenario.without_poles_m))
     pole_map = poles.surveyed(scenario.frame, scenario.map_sd_m, rng)
+    street = StreetTruth()
+    if scenario.street is not None:
+        street, pole_map = _street(scenario.street, path, pole_map, rng)
     if np.isfinite(scenario.kidnap_s):
         path = put_ahead(path, scenario.kidnap_s, scenario.kidnap_m)
     motion = path.until(scenario.duration_s)
-    drive = sensed(scenario, motion, poles, rng)
+    drive = sensed(scenario, motion, poles, rng, street)
     given = () if scenario.pose_source is None else scenario.pose_source.poses(motion, rng)
     moved = tuple(pose.later(scenario.start_s) for pose in given)
-    return PointDrive(drive, motion.later(scenario.start_s), poles, pole_map, moved)
+    return PointDrive(drive, motion.later(scenario.start_s), poles, pole_map, moved, street)
 
 
 def sensed(
-    scenario: PointScenario, motion: PointMotion, poles: Poles, rng: np.random.Generator
-) -> Drive:
+    scenario: PointScenario, motion: PointMotion, poles: Poles, rng: np.random.Generator,
+    street: StreetTruth | None = None,
+) -> Drive:  # fmt: skip
     """What the scenario's sensors record of a motion that begins at 0, on the drive's clock."""
     origin, begin = np.zeros(2), scenario.start_s
     odometry = gnss = reference = None
@@ -177,9 +201,16 @@ def sensed(
             visibility=poles.visibility,
             error_time_s=scenario.detector_error_time_s,
         )
+        seen = tuple(sensors.pole_scans(detector, motion, scenario.detector.rate_hz))
+        if street is not None and (scenario.lines is not None or scenario.corners is not None):
+            # draws of their own, so that poles are seen alike with and without them
+            seen = with_kinds(
+                seen, motion, street, scenario.detector, scenario.lines, scenario.corners,
+                rng.spawn(1)[0],
+            )  # fmt: skip
         scans = tuple(
             replace(scan, stamp_s=scan.stamp_s + begin, arrival_s=scan.arrival_s + begin)
-            for scan in sensors.pole_scans(detector, motion, scenario.detector.rate_hz)
+            for scan in seen
         )
     if scenario.reference is not None:
         reference = sensors.reference(
@@ -197,6 +228,25 @@ def sensed(
         reference=reference,
         scans=scans,
     )
+
+
+def _street(
+    street: Street, path: PointMotion, pole_map: PoleMap, rng: np.random.Generator
+) -> tuple[StreetTruth, PoleMap]:
+    """Lines and corners along a path as they are now, and the map with their survey."""
+    own = rng.spawn(1)[0]
+    places = path.states[:, :2]
+    surveyed = StreetTruth(street.lines(places, own), street.corners(places, own))
+    pole_map = surveyed.onto(pole_map, street.map_sd_m, own)
+    return replace(surveyed, lines=street.repainted(surveyed.lines)), pole_map
+
+
+def _beside(points_m: Floats, path: PointMotion, part_m: tuple[float, float]) -> NDArray[np.bool_]:
+    """Which points `(n, 2)` stand beside a part of the path, by the nearest place of it."""
+    places = path.states[:, :2]
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    station = way[scipy.spatial.KDTree(places).query(points_m)[1]]
+    return np.asarray((station >= part_m[0]) & (station < part_m[1]))
 
 
 def _poles(path: PointMotion, scenario: PointScenario, rng: np.random.Generator) -> Poles:
