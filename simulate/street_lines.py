@@ -238,7 +238,7 @@ def left_of(path_m: Floats) -> Floats:
         return np.zeros_like(path_m)
     ahead = np.gradient(path_m, axis=0)
     length = np.maximum(np.hypot(*ahead.T), 1e-9)
-    return np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / length[:, None]
+    return np.asarray(np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / length[:, None])
 
 
 def _slow(count: int, steps: float, rng: np.random.Generator) -> Floats:

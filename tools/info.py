@@ -16,7 +16,7 @@ from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
-from polemap.drivelog.landmark_kind import kind_counts
+from polemap.drivelog.landmark_kind import LandmarkKind, kind_counts
 from polemap.drivelog.readers.bags.describe import describe_topics, write_mapping
 from polemap.drivelog.readers.bags.files import is_log
 from polemap.drivelog.readers.bags.reader import survey
@@ -263,6 +263,13 @@ def describe_map(pole_map: PoleMap | CityMap, path: Path) -> list[str]:
         )
         if known.neighbours:
             lines.append(f"spacing    median {known.spacing_m:.1f} m to the next pole")
+    if isinstance(pole_map, PoleMap):
+        if (pole_map.kind != LandmarkKind.POLE).any():
+            lines.append(f"kinds      {kind_counts(pole_map.kind)}")
+        if pole_map.lines is not None and len(pole_map.lines):
+            along = pole_map.lines.segments
+            length = np.hypot(*(along.end_m - along.start_m).T).sum()
+            lines.append(f"lines      {kind_counts(pole_map.lines.kind)}, {length:.0f} m")
     further = [name for name in known.further if name != COLUMN]
     if further:
         lines.append(f"columns    {', '.join(further)}")

@@ -231,3 +231,5 @@ _WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": 
 # for other programs only: they keep less than the whole map
 _EXPORTERS = {".osm": _write_osm, ".pbf": _write_pbf, ".xodr": _write_opendrive}
 MAP_ENDINGS = tuple(sorted(_READERS))
+LINE_ENDINGS = (".gpkg", ".geojson")
+"""Of formats that hold lines, too."""

@@ -25,6 +25,8 @@ from polemap.drivelog.frames import (
     utm_frame,
 )
 from polemap.map.formats.columns import KNOWN, from_columns, numbers_of, to_columns
+from polemap.map.formats.lines import from_features, properties_of
+from polemap.map.line_map import LineMap
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -54,6 +56,8 @@ def to_document(pole_map: PoleMap) -> dict[str, Any]:
         }
         for row in range(len(pole_map))
     ]
+    if pole_map.lines is not None:
+        features += _line_features(pole_map.lines)
     ours: dict[str, Any] = {"format_version": 1, "frame": pole_map.frame.to_dict()}
     if pole_map.doubtful is not None and len(pole_map.doubtful):
         ours["doubtful"] = to_document(pole_map.doubtful)
@@ -64,6 +68,54 @@ def to_document(pole_map: PoleMap) -> dict[str, Any]:
         system = f'LOCAL_CS["{name}",UNIT["metre",1]]'
         document["crs"] = {"type": "name", "properties": {"name": system}}
     return {**document, "features": features}
+
+
+def _line_features(lines: LineMap) -> list[dict[str, Any]]:
+    """Lines beside the points; the grid coordinates of their vertices stand in `grid_m`."""
+    grid = lines.vertices_m
+    place = geographic_from_grid(lines.frame, grid)[:, ::-1] if lines.frame.is_utm else grid
+    ends = np.cumsum(lines.count)[:-1]
+    positions = np.split(np.round(place, 10 if lines.frame.is_utm else 5), ends)
+    return [
+        {
+            "type": "Feature",
+            "geometry": {"type": "LineString", "coordinates": shape.tolist()},
+            "properties": {**told, "grid_m": points.tolist()},
+        }
+        for told, shape, points in zip(
+            properties_of(lines), positions, np.split(grid, ends), strict=True
+        )
+    ]
+
+
+def _lines_of(features: list[Any], frame: EarthFrame) -> LineMap | None:
+    """The lines of a map of ours; None where it has none.
+
+    Raises:
+        InputError: positions that are none, or values that no line has.
+    """
+    vertices, told = [], []
+    for row, feature in enumerate(features):
+        if not _is_line(feature):
+            continue
+        coordinates = _geometry(feature).get("coordinates")
+        parts = coordinates if isinstance(coordinates, list) else []
+        places = np.array([_position(part, row) for part in parts], np.float64).reshape(-1, 2)
+        if frame.is_utm and len(places):
+            places = grid_from_geographic(frame, places[:, 1], places[:, 0])
+        properties = _properties(feature, row)
+        given = properties.get("grid_m")
+        if isinstance(given, list) and len(given) == len(places):
+            grid = np.array([_position(part, row) for part in given]).reshape(-1, 2)
+            same = np.hypot(*(grid - places).T) < _SAME_PLACE_M
+            places = np.where(same[:, None], grid, places)
+        vertices.append(places)
+        told.append(properties)
+    return from_features(frame, vertices, told) if told else None
+
+
+def _is_line(feature: Any) -> bool:
+    return _geometry(feature).get("type") == "LineString"
 
 
 def _plain(column: NDArray[Any]) -> list[Any]:
@@ -87,8 +139,11 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
     features = document.get("features")
     if not isinstance(features, list):
         raise InputError("the FeatureCollection has no features")
+    ours, lines = document.get("polemap"), None
+    if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
+        lines = _lines_of(features, EarthFrame.from_dict(ours["frame"]))
+        features = [feature for feature in features if lines is None or not _is_line(feature)]
     positions, properties, notes = _points(features)
-    ours = document.get("polemap")
     positions, of_system = _in_wgs84(document.get("crs"), positions)
     notes += of_system
     if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
@@ -103,7 +158,7 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
         doubtful = from_document(ours["doubtful"], frame) if "doubtful" in ours else None
         next_id = int(doubtful.ids.max()) + 1 if doubtful is not None and len(doubtful) else 0
         pole_map = _build(own_frame, positions, properties, notes, next_id)
-        return pole_map if doubtful is None else replace(pole_map, doubtful=doubtful)
+        return replace(pole_map, doubtful=doubtful, lines=lines)
     return from_inventory(positions, properties, frame, notes)
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import geopandas
+import numpy as np
 import pyogrio
 import shapely
 
@@ -23,6 +24,8 @@ from polemap.map.formats import qgis
 from polemap.map.formats.columns import to_columns
 from polemap.map.formats.geopackage.layers import DOUBTFUL
 from polemap.map.formats.layers import map_from_layer
+from polemap.map.formats.lines import LINES, as_text, from_features, properties_of
+from polemap.map.line_map import LineMap
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError, short
 from polemap.parsing.json_text import parse_json
@@ -42,9 +45,12 @@ def write_geopackage(pole_map: PoleMap, path: Path) -> None:
     if pole_map.doubtful is not None and len(pole_map.doubtful):
         layers.append(DOUBTFUL)
         _write_layer(pole_map.doubtful, path, DOUBTFUL)
+    # styles are of layers of poles; lines are drawn as the program likes
     rows = qgis.style_rows(
         {name: pyogrio.read_info(path, name)["geometry_name"] for name in layers}
     )
+    if pole_map.lines is not None and len(pole_map.lines):
+        _write_lines(pole_map.lines, path)
     with closing(sqlite3.connect(path)) as database, database:
         database.execute(qgis.TABLE)
         database.execute(qgis.REGISTER)
@@ -81,6 +87,40 @@ def _write_layer(pole_map: PoleMap, path: Path, layer: str, *, append: bool = Fa
         )  # fmt: skip
 
 
+def _write_lines(lines: LineMap, path: Path) -> None:
+    frame = lines.frame
+    ends = np.cumsum(lines.count)[:-1]
+    shapes = [shapely.linestrings(points) for points in np.split(lines.vertices_m, ends)]
+    rows = [as_text(told) for told in properties_of(lines)]
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    crs = frame.epsg if frame.is_utm else None
+    table = geopandas.GeoDataFrame(columns, geometry=shapes, crs=crs)
+    metadata = {"polemap": json.dumps({"format_version": 1, "frame": frame.to_dict()})}
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="'crs' was not provided")
+        pyogrio.write_dataframe(
+            table, path, layer=LINES, driver="GPKG", geometry_type="LineString",
+            layer_metadata=metadata,
+        )  # fmt: skip
+
+
+def _read_lines(path: Path, frame: EarthFrame) -> LineMap:
+    """The layer of lines, in the frame of the map.
+
+    Raises:
+        InputError: a row that is no line, or values that no line has.
+    """
+    table = pyogrio.read_dataframe(path, layer=LINES)
+    wrong = table.geometry.geom_type != "LineString"
+    if wrong.any():
+        raise InputError(f"{path}: layer '{LINES}' has a row that is no line; delete it there")
+    if table.crs is not None and frame.is_utm and table.crs.to_epsg() != frame.epsg:
+        table = table.to_crs(frame.epsg)
+    vertices = [shapely.get_coordinates(shape) for shape in table.geometry]
+    rows = table.drop(columns="geometry").to_dict("records")
+    return from_features(frame, vertices, rows)
+
+
 def read_geopackage(path: Path, frame: EarthFrame | None) -> PoleMap:
     """Read a map; the first layer of points where none is called poles.
 
@@ -111,13 +151,20 @@ def _read_layers(path: Path, frame: EarthFrame | None) -> PoleMap:
             raise InputError(
                 f"{path}: the layer '{LAYER}' is missing, '{DOUBTFUL}' alone is no map; restore it"
             )
+        of_lines, layers = LINES in layers and LAYER in layers, [*layers]
+        if of_lines:
+            layers.remove(LINES)
         layer = LAYER if LAYER in layers else next(name for name in layers if name != DOUBTFUL)
-        if layer != LAYER or DOUBTFUL not in layers:
-            return _read_layer(path, layer, frame)
-        doubtful = _read_layer(path, DOUBTFUL, frame)
-        next_id = int(doubtful.ids.max()) + 1 if len(doubtful) else 0
+        doubtful, next_id = None, 0
+        if layer == LAYER and DOUBTFUL in layers:
+            doubtful = _read_layer(path, DOUBTFUL, frame)
+            next_id = int(doubtful.ids.max()) + 1 if len(doubtful) else 0
         pole_map = _read_layer(path, layer, frame, next_id)
-        return replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
+        if doubtful is not None:
+            pole_map = replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
+        if not of_lines:
+            return pole_map
+        return replace(pole_map, lines=_read_lines(path, pole_map.frame))
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, StopIteration) as error:
         raise InputError(
             f"{path}: not a GeoPackage with a layer of points ({short(error)})"

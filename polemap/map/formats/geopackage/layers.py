@@ -9,10 +9,11 @@ from pathlib import Path
 
 from polemap.drivelog.errors import OutputError
 from polemap.map.city.geopackage.io import LAYER
+from polemap.map.formats.lines import LINES
 from polemap.parsing.errors import short
 
 DOUBTFUL = "doubtful"
-_OURS = frozenset({LAYER, DOUBTFUL, "layer_styles"})
+_OURS = frozenset({LAYER, DOUBTFUL, LINES, "layer_styles"})
 
 
 def check_layers(path: Path) -> None:
