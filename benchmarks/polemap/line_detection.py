@@ -34,7 +34,7 @@ from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.samples import StereoFrame
 from polemap.perception import PolePerception, perceive_drive
 from polemap.simulate.ground import kerb_m, marking_lines
-from polemap.vehicle.pose import inverse_transform_points, transform_points, wrap_angle
+from polemap.vehicle.pose import inverse_transform_points, rotate_back, transform_points, wrap_angle
 
 Floats = NDArray[np.float64]
 Row = tuple[float, float, float, float, float]  # range, off, its sd, turned, its sd
@@ -192,9 +192,7 @@ def true_lines(street: Street, stamp_s: float) -> list[tuple[LandmarkKind, Float
 
 
 def _covered(lines: LineDetections, point: Floats) -> bool:
-    away = point - lines.middle_vehicle_m
-    c, s = np.cos(lines.direction_rad), np.sin(lines.direction_rad)
-    along, across = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
+    along, across = rotate_back(point - lines.middle_vehicle_m, lines.direction_rad).T
     near = (np.abs(along) <= 0.5 * lines.length_m + 0.3) & (np.abs(across) < RIGHT_M)
     return bool(near.any())
 
