@@ -196,7 +196,7 @@ def _make(
         raise InputError("--poses writes what --slam solves for; these drives have a reference")
     else:
         built = job.build(opened)
-    if not len(built.pole_map):
+    if not len(built.pole_map) and not built.pole_map.lines:
         raise InputError(
             f"no pole was found in {len(opened)} drives, {job.out} was not written; try a lower "
             "--set polemap.mapping.observations_min"
@@ -253,10 +253,15 @@ def _say(built: BuiltMap, drives: list[Drive], out: Path) -> None:
     if len(built.removed):
         typer.echo(f"{len(built.removed)} poles of the old map are gone")
     made = built.pole_map
+    typer.echo(f"{out}: {made.described} in {made.frame}")
+    if len(made):
+        typer.echo(_known(made))
+    typer.echo(f"next: polemap localize DRIVE --map {out} --out runs/DRIVE")
+
+
+def _known(made: PoleMap) -> str:
     sd_m = np.sqrt(np.linalg.eigvalsh(made.covariance_m2)[:, -1])
-    typer.echo(f"{out}: {len(made)} poles in {made.frame}")
-    typer.echo(
+    return (
         f"known to {np.median(sd_m):.2f} m (median of the larger axis), existence "
         f"{np.mean(made.existence):.2f} on average, seen {np.median(made.observations):.0f} times"
     )
-    typer.echo(f"next: polemap localize DRIVE --map {out} --out runs/DRIVE")

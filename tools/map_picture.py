@@ -13,9 +13,11 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
+from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle
 from polemap.drivelog.results.signature import CREATOR
 from polemap.evaluation.localizability import Localizability, drive_sensor, localizability
 from polemap.extras import check_installed
+from polemap.map.line_map import LineMap
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings
 from polemap.tools.background import Background, draw_background
@@ -27,6 +29,11 @@ _WORST_M = 1.0
 _CELL_M = 50.0
 # slim bars below the map
 _BAR: dict[str, Any] = {"shrink": 0.9, "aspect": 50, "pad": 0.01}
+_LINE_COLOURS = {
+    LandmarkKind.LANE_MARKING: "0.45",
+    LandmarkKind.KERB: "sienna",
+    LandmarkKind.FACADE: "slateblue",
+}
 _LETTERS_PT, _WIDTH_IN, _MARGIN = 15, 9.0, 0.05
 
 
@@ -123,8 +130,11 @@ def draw_map(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    centre = pole_map.points_m.mean(axis=0).round() if pole_map.frame.is_utm else np.zeros(2)
-    shown = [pole_map.points_m, *(part.poses[:, :2] for part in parts)]
+    places = pole_map.points_m
+    if not len(places) and pole_map.lines is not None:
+        places = pole_map.lines.vertices_m
+    centre = places.mean(axis=0).round() if pole_map.frame.is_utm else np.zeros(2)
+    shown = [places, *(part.poses[:, :2] for part in parts)]
     low, high = _extent(np.concatenate(shown) - centre)
     # the letters are to be read on a phone, where the picture is some seven centimetres wide
     with mpl.rc_context({"font.size": _LETTERS_PT}):
@@ -162,6 +172,8 @@ def _draw(
     *, shaded: bool,
 ) -> None:  # fmt: skip
     points = pole_map.points_m - centre
+    if pole_map.lines is not None and len(pole_map.lines):
+        _draw_lines(axes, pole_map.lines, centre)
     for part in parts:
         route_m = part.poses[:, :2] - centre
         bound = np.minimum(part.lateral_sd_m, _WORST_M)
@@ -174,6 +186,7 @@ def _draw(
         s=24 + 80 * width, edgecolors="black", linewidths=0.5,
     )  # fmt: skip
     bars = [(dots, "existence of the pole")]
+    shaded = shaded and len(points) > 0
     bars += [(_density(axes, points), "poles a hectare")] if shaded else []
     bars += [(route, "lateral bound, 1 sd (m)")] if parts else []
     for drawn, label in bars:
@@ -182,4 +195,17 @@ def _draw(
     shift = f" - {centre[0]:.0f}" if centre.any() else ""
     axes.set_xlabel(f"east{shift} (m)")
     axes.set_ylabel(f"north - {centre[1]:.0f} (m)" if centre.any() else "north (m)")
-    axes.set_title(f"{len(pole_map)} poles, {pole_map.frame}")
+    axes.set_title(f"{pole_map.described}, {pole_map.frame}")
+
+
+def _draw_lines(axes: Any, lines: LineMap, centre: Floats) -> None:
+    """Markings dashed where the road's are, kerbs and facades whole."""
+    for row in range(len(lines)):
+        colour = _LINE_COLOURS[LandmarkKind(int(lines.kind[row]))]
+        style = "--" if lines.style[row] == LineStyle.DASHED else "-"
+        east, north = (lines.polyline_m(row) - centre).T
+        axes.plot(east, north, style, color=colour, linewidth=1.2, zorder=0.5)
+    for kind in np.unique(lines.kind).tolist():
+        name = LandmarkKind(kind).name.lower().replace("_", " ")
+        axes.plot([], [], color=_LINE_COLOURS[LandmarkKind(kind)], linewidth=1.2, label=name)
+    axes.legend(loc="best", fontsize="small")

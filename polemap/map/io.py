@@ -126,7 +126,8 @@ def read_map(
         if str(path) in str(error):
             raise
         raise InputError(f"{path}: {error}") from error
-    if not len(pole_map) and not allow_empty:
+    lines = 0 if pole_map.lines is None else len(pole_map.lines)
+    if not len(pole_map) and not lines and not allow_empty:
         raise InputError(f"{path}: the map holds no poles; build it from a drive that saw some")
     if frame is None or pole_map.frame == frame:
         return pole_map

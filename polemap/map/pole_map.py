@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from polemap.drivelog.detections import VisibleRegion
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, transform_points
+from polemap.drivelog.landmark_kind import kind_counts
 from polemap.map.line_map import LineMap, join_lines
 from polemap.vehicle.packed import transform_point
 from polemap.vehicle.pose import rotate_back
@@ -118,6 +119,14 @@ class PoleMap:
         """Class `(n,)` of every row, a `LandmarkKind`; all poles where the map does not say."""
         column = self.extra.get(KIND_COLUMN)
         return np.broadcast_to(np.int8(0), len(self)) if column is None else column
+
+    @property
+    def described(self) -> str:
+        """How many landmarks of each kind it holds, as in "12 poles, 3 kerbs"."""
+        kinds = [kind_counts(self.kind) or "0 poles"]
+        if self.lines is not None and len(self.lines):
+            kinds.append(kind_counts(self.lines.kind))
+        return ", ".join(kinds)
 
     @property
     def tree(self) -> scipy.spatial.KDTree | None:
