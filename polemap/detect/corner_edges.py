@@ -96,17 +96,17 @@ def _grouped(
     focal_baseline = rig.focal_px * rig.baseline_m
     low = 0.9 * focal_baseline / config.range_max_m
     high = 1.2 * focal_baseline / config.range_min_m
-    row, column, near, far, occluding = (
-        np.concatenate([getattr(side, name) for side in sides]).astype(np.float64)
-        for name in ("row_px", "column_px", "near_px", "far_px", "occluding")
-    )
+    near = np.concatenate([side.near_px for side in sides])
     inside = np.flatnonzero((near >= low) & (near <= high))
+    column = np.concatenate([side.column_px for side in sides])
     depth_cells = int(np.log(high / low) / _SHARE) + 4
     column_cells = int(rig.width_px / _COLUMN_PX) + 4
-    depth = (np.log(near[inside] / low) / _SHARE).astype(np.int64) + 1
+    depth = (np.log(near.take(inside) * np.float32(1.0 / low)) * np.float32(1.0 / _SHARE)).astype(
+        np.int64
+    ) + 1
     # the right flanks' cells lie below those of the left flanks
     depth += depth_cells * (inside >= len(sides[0]))
-    across = (column[inside] / _COLUMN_PX).astype(np.int64) + 1
+    across = (column.take(inside) * np.float32(1.0 / _COLUMN_PX)).astype(np.int64) + 1
     place = np.minimum(np.maximum(across, 1), column_cells - 2) + column_cells * depth
     counts = np.bincount(place, minlength=2 * depth_cells * column_cells)
     grid = counts.astype(np.float32).reshape(2 * depth_cells, column_cells)
@@ -121,10 +121,13 @@ def _grouped(
     label[peaks] = number
     group = label.take(place)
     mine = np.flatnonzero(group >= 0)
-    at = inside[mine]
-    table = np.stack([row[at], column[at], near[at], far[at], occluding[at]])
+    at = inside.take(mine)
+    table = np.empty((5, len(at)))
+    table[1], table[2] = column.take(at), near.take(at)
+    for line, name in ((0, "row_px"), (3, "far_px"), (4, "occluding")):
+        table[line] = np.concatenate([getattr(side, name) for side in sides]).take(at)
     free = np.where(peaks >= depth_cells * column_cells, 1.0, -1.0)
-    return _lines(table, group[mine], free, config.row_step_px)
+    return _lines(table, group.take(mine), free, config.row_step_px)
 
 
 def _peaks(grid: NDArray[np.float32], least: Floats) -> Ints:

@@ -18,10 +18,17 @@ POLES = [Thing(14.0, 2.5, 0.25, 4.0), Thing(17.0, -3.0, 0.3, 4.0)]
 DISTRACTION = Thing(16.0, 5.5, 0.9, 1.9)
 
 
+WALL = Thing(15.0, 5.5, 3.0, 4.0)
+
+
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five frames of an approach at 10 m/s, the map beside the drive."""
-    folder = tmp_path_factory.mktemp("drive") / "approach"
+    return approach(tmp_path_factory.mktemp("drive") / "approach", [*POLES, DISTRACTION])
+
+
+def approach(folder: Path, stand: list[Thing]) -> Path:
+    """The drive past some things, with a map of the poles beside it."""
     (folder / "left").mkdir(parents=True)
     (folder / "right").mkdir()
     rng = np.random.default_rng(2)
@@ -29,7 +36,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     frames, odometry, reference = (["stamp_s,left,right"], ["stamp_s,speed_mps,yaw_rate_radps"],
                                    ["stamp_s,east_m,north_m,yaw_rad"])  # fmt: skip
     for step in range(5):
-        things = [replace(t, x_m=t.x_m - step) for t in (*POLES, DISTRACTION)]
+        things = [replace(t, x_m=t.x_m - step) for t in stand]
         left, right, _ = street(things, rng)
         for side, image in (("left", left), ("right", right)):
             noisy = image + rng.normal(0, 2, image.shape)
@@ -77,6 +84,32 @@ def test_table_pictures_and_scores(
     said = capsys.readouterr().out
     assert "confirmed tracks" in said
     assert "next: polemap map" in said
+
+
+def test_corners_are_written_where_they_are_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = approach(tmp_path / "walled", [*POLES, WALL])
+    frames = ["--frames", "0:2", "--force"]
+    asked = ["--set", "polemap.detection.kinds=[pole,corner]", "--pictures"]
+    for name, more in (("poles", []), ("both", asked)):
+        assert run(["detect", str(drive), "--out", str(tmp_path / name), *frames, *more]) == 0
+    assert "corners (" in capsys.readouterr().out
+    plain, both = (
+        list(csv.DictReader((tmp_path / name / "detections.csv").open()))
+        for name in ("poles", "both")
+    )
+    assert {"kind", "facing_rad"} & set(plain[0]) == set()
+    corners = [row for row in both if row["kind"] == "corner"]
+    poles = [row for row in both if row["kind"] == "pole"]
+    assert corners
+    assert len(corners) + len(poles) == len(both)
+    # poles are found as without corners; tracks, which share what is learned, may be numbered anew
+    assert [row["left_px"] for row in poles] == [row["left_px"] for row in plain]
+    for row in corners:
+        assert abs(float(row["facing_rad"])) <= np.pi
+        assert row["left_px"] == row["right_px"]
+        assert row["width_m"] == ""
 
 
 def test_lines_are_written_where_they_are_asked_for(
