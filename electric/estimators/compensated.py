@@ -91,7 +91,9 @@ class CompensatedKalman:
     offset is `C e~`, and `e = (I - K C) e~`. The yaw rate's residual is always the real one.
 
     The reported deviation is that of the steady filter at the speed of now; it ignores the
-    delay. When pictures stay away it grows as the gyro alone lets it.
+    delay. When pictures stay away it grows as the gyro alone lets it. The first picture after that
+    sets heading and offset, and the states stored meanwhile with them: a residual of metres is none
+    to propagate, since a second picture would find it in its stored state and correct it again.
 
     The residual is propagated for j < T_l / T_s steps (W14), or `until_arrival` of the next
     picture, whenever that is (W13, whose pictures come unevenly).
@@ -164,8 +166,12 @@ class CompensatedKalman:
         self._er = e1 - k10 * e1 - k11 * e2 - k12 * e3
         self._eh = e2 - k20 * e1 - k21 * e2 - k22 * e3
         self._ey = e3 - k30 * e1 - k31 * e2 - k32 * e3
-        if self._loose is None and stamp_s - self._heard_s > 3.0 * self._config.camera_period_s:
+        if self._loose is None and self._silent(stamp_s):
             self._loose = self.covariance()
+
+    def _silent(self, stamp_s: float) -> bool:
+        """Whether pictures stay away."""
+        return stamp_s - self._heard_s > 3.0 * self._config.camera_period_s
 
     def measure(self, kind: str, value: Value, stamp_s: float, arrival_s: float) -> None:
         if kind == YAW_RATE:
@@ -200,8 +206,33 @@ class CompensatedKalman:
                 (residual, float(p[k, k]) + sd * sd)
                 for k, residual, sd in zip((2, 3), residuals, sds, strict=True)
             ]
-            if not self.gate.refuses(CAMERA, stamp_s, *numbers):
+            if self.gate.refuses(CAMERA, stamp_s, *numbers):
+                return
+            if self._loose is not None and self._silent(self._clock.stamp_s):
+                self._begin_anew(stamp_s, *residuals)
+            else:
                 self._arrive(*residuals)
+
+    def _begin_anew(self, captured_s: float, heading: float, offset: float) -> None:
+        """Take heading and offset from the first picture after an outage."""
+        config, before, now = self._config, self._state(), self._clock.stamp_s
+        speed = self._inputs.speed_mps
+
+        def moved(stamp_s: float) -> float:
+            return offset + speed * (stamp_s - captured_s) * heading
+
+        self._h += heading
+        self._y += moved(now)
+        self._stored = [(s, h + heading, y + moved(s)) for s, h, y in self._stored]
+        self._eb = self._er = self._eh = self._ey = 0.0
+        self._left = 0
+        loose = self.covariance()
+        loose[2:] = loose[:, 2:] = 0.0
+        aside_m = config.lateral_offset_sd_m + speed * (now - captured_s) * config.heading_sd_rad
+        loose[2, 2], loose[3, 3] = config.heading_sd_rad**2, aside_m**2
+        self._loose = loose
+        self._bridge.corrected(now, before, self._state())
+        self._heard_s = now
 
     def _arrive(self, heading: float, offset: float) -> None:
         k01, k02, k11, k12, k21, k22, k31, k32 = (
@@ -240,7 +271,7 @@ class CompensatedKalman:
         while no pictures come.
         """
         config, steady = self._config, self._covariances[self._index].reshape(4, 4)
-        silent = stamp_s - self._heard_s > 3.0 * config.camera_period_s
+        silent = self._silent(stamp_s)
         rows = ALL_ROWS[:1] if silent else ALL_ROWS
         frames = max(1.0, round(config.camera_period_s / config.step_s))
         sds = np.array([config.gyro_sd_radps, config.heading_sd_rad, config.lateral_offset_sd_m])

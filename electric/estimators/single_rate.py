@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,8 @@ from polemap.vehicle.parameters import Car
 from polemap.vehicle.single_track import bend_of_lane, combined_vision, schedule
 
 Floats = NDArray[np.float64]
+
+_LONGEST_S = 0.5  # predicted over at once
 
 
 class SingleRateKalman(VisionFilter):
@@ -57,22 +61,30 @@ class SingleRateKalman(VisionFilter):
             return
         elapsed = stamp_s - self._captured_s
         if elapsed == elapsed and elapsed > 0.0:
-            g, h, q = self._frame.at(self._held.speed_mps, elapsed)
-            u = np.array([self._held.road_wheel_angle_rad, self._held.yaw_moment_nm])
-            wide = np.zeros((6, 6))
-            wide[:4, :4] = g
-            wide[4, 2] = wide[5, 3] = 1.0
-            self._x = wide @ self._x
-            self._x[:4] += h @ u
-            self._x[2:4] += bend_of_lane(
-                self._held.speed_mps, self._held.road_curvature_per_m, elapsed
-            )
-            self._p = wide @ self._p @ wide.T
-            self._p[:4, :4] += q
+            self._predict(elapsed)
             self._update()
         else:
             self._x[4:], self._p = self._x[2:4], _with_clone(self._p)
         self._captured_s, self._held, self._arrived = stamp_s, self._inputs, None
+
+    def _predict(self, elapsed: float) -> None:
+        """Over one frame, or in parts over a gap: the noise of seconds drowns in its rounding."""
+        parts = max(1, ceil(elapsed / _LONGEST_S))
+        part_s = elapsed / parts
+        g, h, q = self._frame.at(self._held.speed_mps, part_s)
+        u = np.array([self._held.road_wheel_angle_rad, self._held.yaw_moment_nm])
+        bend = bend_of_lane(self._held.speed_mps, self._held.road_curvature_per_m, part_s)
+        wide = np.zeros((6, 6))
+        wide[:4, :4] = g
+        wide[4, 2] = wide[5, 3] = 1.0
+        for _ in range(parts):
+            self._x = wide @ self._x
+            self._x[:4] += h @ u
+            self._x[2:4] += bend
+            self._p = wide @ self._p @ wide.T
+            self._p[:4, :4] += q
+            # the delayed states are those of the capture before the first part
+            wide[4:] = np.eye(6)[4:]
 
     def _update(self) -> None:
         gyro, stamp = self.gate.variance(YAW_RATE, self._gyro_variance), self._clock.stamp_s
