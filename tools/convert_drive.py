@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from polemap.drivelog.atomic import check_file, check_folder
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.landmark_kind import LandmarkKind, kind_counts
 from polemap.drivelog.readers.registry import open_drive
 from polemap.drivelog.writers.folder import write_drive
 from polemap.drivelog.writers.kitti_odometry import kept_rows, write_kitti_odometry
@@ -67,6 +70,17 @@ def to_mcap(request: Request) -> list[str]:
     with progress(len(drive.frame_stamps_s), f"writing {drive.name}") as advance:
         counts = write_drive_mcap(drive, request.out, advance)
     return [
+        *(f"note: {line}" for line in _lost_in_mcap(drive)),
         *(f"{count:8}  {topic}" for topic, count in sorted(counts.items())),
         f"drive {drive.name} written to {request.out}; polemap, ROS 2 and Foxglove read it",
     ]
+
+
+def _lost_in_mcap(drive: Drive) -> list[str]:
+    """Landmarks that the messages have no place for."""
+    kinds = [scan.kind[scan.kind != LandmarkKind.POLE] for scan in drive.scans]
+    kinds += [scan.lines.kind for scan in drive.scans if scan.lines is not None]
+    lost = kind_counts(np.concatenate([np.empty(0, dtype=np.int8), *kinds]))
+    if not lost:
+        return []
+    return [f"an MCAP of polemap holds poles alone: {lost} are left out; a folder keeps them"]

@@ -244,7 +244,9 @@ def _extent(where: Drive | PoleMap | CityMap, points: Floats) -> list[str]:
 
 def describe_map(pole_map: PoleMap | CityMap, path: Path) -> list[str]:
     """What a map holds, a line a fact."""
-    lines = [f"map        {path}", f"frame      {pole_map.frame}", f"poles      {len(pole_map)}"]
+    lines = [f"map        {path}", f"frame      {pole_map.frame}", f"landmarks  {len(pole_map)}"]
+    if not isinstance(pole_map, PoleMap) or not pole_map.kind.any():
+        lines[-1] = f"poles      {len(pole_map)}"
     known = statistics_of(pole_map)
     if known.extent_m:
         lines += _extent(pole_map, np.array(known.extent_m).reshape(2, 2))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.columns import Columns
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.landmark_kind import LandmarkKind
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -116,7 +117,8 @@ def _as_detections(
         kind=tracks.kind,
         points_vehicle_m=points_vehicle_m,
         covariance_m2=covariance_m2,
-        width_m=tracks.width_m,
+        # an edge has none, whatever its track began with
+        width_m=np.where(tracks.kind == LandmarkKind.CORNER, np.nan, tracks.width_m),
         height_m=tracks.height_m,
         probability=tracks.existence,
         track_id=tracks.ids,

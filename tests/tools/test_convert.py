@@ -154,3 +154,32 @@ def test_a_run_without_frame_and_map_asks_for_them(
     assert "give --map MAP or --drive DRIVE" in capsys.readouterr().err
     words = [tmp_path / "old", "--out", tmp_path / "t.tum", "--map", runs / "map.gpkg"]
     assert convert(*words) == cli.GOOD
+
+
+def test_mcap_says_which_landmarks_it_has_no_place_for_and_makes_no_poles_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    (drive / "drive.yaml").write_text(
+        "format_version: 1\nname: street\nframe: {kind: local, name: park}\n"
+        "vehicle: {wheelbase_m: 2.7}\n"
+    )
+    (drive / "odometry.csv").write_text(
+        "stamp_s,speed_mps,yaw_rate_radps\n" + "".join(f"{k * 0.1},5,0\n" for k in range(20))
+    )
+    (drive / "poles.csv").write_text(
+        "stamp_s,x_m,y_m,var_x_m2,var_y_m2,cov_xy_m2,width_m,kind,facing_rad\n"
+        + "".join(f"{k * 0.1},10,3,0.01,0.01,0,0.2,pole,\n"
+                  f"{k * 0.1},12,6,0.01,0.01,0,,corner,1.5\n" for k in range(10))
+    )  # fmt: skip
+    (drive / "lines.csv").write_text(
+        "stamp_s,kind,x0_m,y0_m,x1_m,y1_m,offset_sd_m,direction_sd_rad\n"
+        + "".join(f"{k * 0.1},kerb,5,-3,11,-3,0.05,0.01\n" for k in range(15))
+    )
+    assert convert(drive, "--out", tmp_path / "drive.mcap") == cli.GOOD
+    said = capsys.readouterr().out
+    assert "10 corners, 15 kerbs are left out" in said
+    again = open_drive(tmp_path / "drive.mcap")
+    assert [len(scan) for scan in again.scans] == [1] * 10
+    assert all((scan.kind == 0).all() for scan in again.scans)

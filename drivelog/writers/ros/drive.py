@@ -32,6 +32,7 @@ from polemap.drivelog.detections import Detections, pole_view
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import geographic_from_grid
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.readers.bags.described import (
     FIX,
     POLES,
@@ -122,6 +123,10 @@ class _SampleWriter:
             self._mounting(log_s)
         if isinstance(sample, StereoFrame):
             self._pair(sample)
+        elif (
+            isinstance(sample, Detections) and sample.view is not None and sample.view.sees_nothing
+        ):
+            return  # it looked for lines alone
         else:
             topic, message = self._of(sample)
             self._file.write(topic, message, log_s, stamp_s)
@@ -132,7 +137,8 @@ class _SampleWriter:
         if isinstance(sample, GnssFix):
             return self._fix(sample)
         if isinstance(sample, Detections):
-            return POLES, ros.pole_scan(sample)
+            # of another kind it would be read as a pole
+            return POLES, ros.pole_scan(sample.of_kinds(LandmarkKind.POLE))
         known = np.isfinite(sample.sd_m)
         covariance = np.diag([sample.sd_m**2, sample.sd_m**2, 0.0]) if known else None
         place = np.array(sample.pose)
