@@ -125,6 +125,7 @@ LEFT = (
     Left(r"^polemap study full-loop", "an hour; test_full_loop.py closes it on a short street"),
     Left(r"^polemap study", "ten seconds to minutes; tests/tools/test_study.py runs short ones",
          long=True),
+    Left(r"^polemap train .*--kind corner", "needs drives past houses, minutes to render"),
     Left(r"^make (?:demo|site|docs|lint)$", "minutes, or writes into the source", long=True),
     Left(r"^make test", "is this suite"),
     Left(r"^make city", "half an hour; test_every_target_is_there asks make for it"),

@@ -64,6 +64,7 @@ def laps() -> Drive:
             arrival_s=later(odometry.arrival_s),
             speed_mps=twice(np.hypot(*step.T) / 0.02),
             yaw_rate_radps=twice(rate),
+            lateral_mps=twice(odometry.lateral_mps),
         ),
         reference=replace(
             reference, stamp_s=later(reference.stamp_s), poses=twice(poses),
@@ -119,8 +120,7 @@ def _thinned(drive: Drive) -> Drive:
 
 def _cut(drive: Drive, rows: slice, scale: float = 1.0) -> Drive:
     odometry = drive.odometry
-    names = ("stamp_s", "arrival_s", "speed_mps", "yaw_rate_radps")
-    cut = replace(odometry, **{name: getattr(odometry, name)[rows] for name in names})
+    cut = odometry.take(rows)
     stamps = {n: getattr(cut, n) * scale for n in ("stamp_s", "arrival_s")}
     return replace(drive, odometry=replace(cut, **stamps))
 

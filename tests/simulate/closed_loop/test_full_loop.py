@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,7 +26,8 @@ from polemap.simulate.world import make_world
 from polemap.vehicle.io import load_car
 from polemap.vehicle.pose import Pose2D
 
-pytest.importorskip("open3d", reason="pictures need open3d")
+if find_spec("open3d") is None:
+    pytest.skip("pictures need open3d", allow_module_level=True)
 pytest.importorskip("gtsam", reason="a map without reference needs gtsam")
 
 
