@@ -25,7 +25,7 @@ from polemap.drivelog.frames import (
     utm_frame,
 )
 from polemap.map.formats.columns import KNOWN, from_columns, numbers_of, to_columns
-from polemap.map.formats.lines import from_features, properties_of
+from polemap.map.formats.lines import are_ours, from_features, properties_of
 from polemap.map.line_map import LineMap
 from polemap.map.pole_map import PoleMap
 
@@ -56,7 +56,7 @@ def to_document(pole_map: PoleMap) -> dict[str, Any]:
         }
         for row in range(len(pole_map))
     ]
-    if pole_map.lines is not None:
+    if pole_map.lines is not None and len(pole_map.lines):
         features += _line_features(pole_map.lines)
     ours: dict[str, Any] = {"format_version": 1, "frame": pole_map.frame.to_dict()}
     if pole_map.doubtful is not None and len(pole_map.doubtful):
@@ -115,7 +115,10 @@ def _lines_of(features: list[Any], frame: EarthFrame) -> LineMap | None:
 
 
 def _is_line(feature: Any) -> bool:
-    return _geometry(feature).get("type") == "LineString"
+    """Whether a feature is a line of a map; other lines are left out as other shapes are."""
+    told = feature.get("properties") if isinstance(feature, dict) else None
+    ours = isinstance(told, dict) and are_ours(told)
+    return ours and _geometry(feature).get("type") == "LineString"
 
 
 def _plain(column: NDArray[Any]) -> list[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,14 @@ from polemap.parsing.json_text import parse_json
 Floats = NDArray[np.float64]
 
 LINES = "lines"
+_MARKS = frozenset({"kind", "style", "vertex_sd_m"})
 _KINDS = {kind.name.lower(): kind for kind in LINE_KINDS}
 _STYLES = {style.name.lower(): style for style in LineStyle}
+
+
+def are_ours(names: Collection[str]) -> bool:
+    """Whether columns or properties are those of a map's lines; streets of a GIS have others."""
+    return set(names) >= _MARKS
 
 
 def properties_of(lines: LineMap) -> list[dict[str, Any]]:
@@ -73,8 +79,9 @@ def from_features(
 def _row(points: Floats, told: Mapping[str, Any]) -> tuple[Any, ...]:
     name = f"line {str(told.get('id'))[:20]}"
     kind, style = told.get("kind"), told.get("style") or "unknown"
-    if kind not in _KINDS or style not in _STYLES:
-        wrong, known = ("kind", _KINDS) if kind not in _KINDS else ("style", _STYLES)
+    # names, not values: a list of a damaged GeoJSON cannot be looked up
+    if str(kind) not in _KINDS or str(style) not in _STYLES:
+        wrong, known = ("kind", _KINDS) if str(kind) not in _KINDS else ("style", _STYLES)
         raise InputError(
             f"{name}: its {wrong} is '{str(told.get(wrong))[:40]}'; write one of {', '.join(known)}"
         )
@@ -85,13 +92,20 @@ def _row(points: Floats, told: Mapping[str, Any]) -> tuple[Any, ...]:
             deviations = np.full(len(points), float(told["sd_m"]))
         numbers = [int(told[key]) for key in ("id", "observations", "drives")]
         existence = float(told["existence"])
-    except (ParsingError, KeyError, TypeError, ValueError) as error:
+    except (ParsingError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise InputError(
             f"{name}: id, observations, drives, existence and sd_m must be numbers ({error})"
         ) from error
+    if not all(0 <= number < 2**63 for number in numbers):
+        raise InputError(
+            f"{name}: id, observations and drives are {numbers}; write whole numbers of at least 0"
+        )
+    bad = deviations[~(np.isfinite(deviations) & (deviations > 0.0))]
+    if len(bad):
+        raise InputError(f"{name}: a deviation of vertex_sd_m is {bad[0]:g}; write metres above 0")
     if not 0.0 <= existence <= 1.0:
         raise InputError(f"{name}: its existence is {existence:g}, not 0 to 1")
-    return numbers[0], _KINDS[kind], _STYLES[style], *numbers[1:], existence, deviations
+    return numbers[0], _KINDS[str(kind)], _STYLES[str(style)], *numbers[1:], existence, deviations
 
 
 def as_text(properties: Mapping[str, Any]) -> dict[str, Any]:

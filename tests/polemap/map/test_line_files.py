@@ -6,10 +6,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import geopandas
 import numpy as np
+import pyogrio
 import pytest
+import shapely
 
-from polemap.drivelog.errors import InputError
+from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.io import read_map, write_map
 from polemap.map.line_map import LineMap
@@ -62,4 +65,91 @@ def test_a_kind_that_is_none_is_refused(tmp_path: Path) -> None:
     document["features"][1]["properties"]["kind"] = "hedge"
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match="line 4: its kind is 'hedge'; write one of"):
+        read_map(path)
+
+
+UTM = EarthFrame("utm", 32633)
+PLACE = (388500.0, 5819500.0)
+
+
+def _add_streets(path: Path) -> None:
+    streets = geopandas.GeoDataFrame(
+        {"street": ["High Street"]}, geometry=[shapely.linestrings([[0, 0], [9, 9]])], crs=32633
+    )
+    pyogrio.write_dataframe(streets, path, layer="lines", append=path.exists())
+
+
+@pytest.mark.parametrize("beside_poles", [False, True])
+def test_streets_that_a_gis_calls_lines_are_never_replaced(
+    tmp_path: Path, beside_poles: bool
+) -> None:
+    path = tmp_path / "m.gpkg"
+    if beside_poles:
+        write_map(replace(_map(UTM, PLACE), lines=None), path)
+    _add_streets(path)
+    before = path.read_bytes()
+    with pytest.raises(OutputError, match="holds the layer 'lines', which polemap did not write"):
+        write_map(_map(UTM, PLACE), path)
+    assert path.read_bytes() == before
+
+
+def test_poles_beside_streets_of_a_gis_are_still_read(tmp_path: Path) -> None:
+    path = tmp_path / "m.gpkg"
+    write_map(replace(_map(UTM, PLACE), lines=None), path)
+    _add_streets(path)
+    again = read_map(path)
+    assert again.lines is None
+    assert any("layer 'lines' has not the columns" in note for note in again.notes)
+
+
+def test_a_street_in_a_geojson_is_left_out_with_a_note(tmp_path: Path) -> None:
+    path = tmp_path / "m.geojson"
+    write_map(_map(UTM, PLACE), path)
+    document = json.loads(path.read_text())
+    document["features"][1]["properties"] = {"name": "High Street"}
+    path.write_text(json.dumps(document))
+    again = read_map(path)
+    assert again.lines is not None
+    assert again.lines.ids.tolist() == [9]
+    assert any("1 features that are not points were left out" in note for note in again.notes)
+
+
+@pytest.mark.parametrize("ending", ["gpkg", "geojson"])
+def test_a_map_that_lost_its_last_line_is_written(tmp_path: Path, ending: str) -> None:
+    bare = replace(_map(UTM, PLACE), lines=LineMap.empty(UTM))
+    write_map(bare, tmp_path / f"m.{ending}")
+    assert read_map(tmp_path / f"m.{ending}").lines is None
+
+
+def test_multilines_of_one_part_are_lines(tmp_path: Path) -> None:
+    path, made = tmp_path / "m.gpkg", _map(UTM, PLACE)
+    write_map(made, path)
+    table = pyogrio.read_dataframe(path, layer="lines")
+    table.geometry = [shapely.multilinestrings([shape]) for shape in table.geometry]
+    pyogrio.write_dataframe(table, path, layer="lines", promote_to_multi=True)
+    again = read_map(path).lines
+    assert again is not None
+    assert made.lines is not None
+    np.testing.assert_array_equal(again.vertices_m, made.lines.vertices_m)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [("vertex_sd_m", [-1.0, 0.1, 0.1], "line 4: a deviation of vertex_sd_m is -1; write"),
+     ("vertex_sd_m", [0.0, 0.1, 0.1], "line 4: a deviation of vertex_sd_m is 0; write"),
+     ("observations", -5, "line 4: id, observations and drives are"),
+     ("observations", float("inf"), "line 4: id, observations, drives, existence and sd_m must be"),
+     ("drives", 10**30, "line 4: id, observations and drives are"),
+     ("existence", 2.0, "line 4: its existence is 2, not 0 to 1"),
+     ("kind", ["kerb"], "line 4: its kind is")],
+)  # fmt: skip
+def test_values_that_no_line_has_are_refused(
+    tmp_path: Path, name: str, value: object, said: str
+) -> None:
+    path = tmp_path / "m.geojson"
+    write_map(_map(UTM, PLACE), path)
+    document = json.loads(path.read_text())
+    document["features"][1]["properties"][name] = value
+    path.write_text(json.dumps(document).replace("Infinity", "1e999"))
+    with pytest.raises(InputError, match=said):
         read_map(path)

@@ -24,7 +24,7 @@ from polemap.map.formats import qgis
 from polemap.map.formats.columns import to_columns
 from polemap.map.formats.geopackage.layers import DOUBTFUL
 from polemap.map.formats.layers import map_from_layer
-from polemap.map.formats.lines import LINES, as_text, from_features, properties_of
+from polemap.map.formats.lines import LINES, are_ours, as_text, from_features, properties_of
 from polemap.map.line_map import LineMap
 from polemap.map.pole_map import PoleMap
 from polemap.parsing.errors import ParsingError, short
@@ -111,6 +111,10 @@ def _read_lines(path: Path, frame: EarthFrame) -> LineMap:
         InputError: a row that is no line, or values that no line has.
     """
     table = pyogrio.read_dataframe(path, layer=LINES)
+    # a GIS that exports the layer makes each line a multiline of one part
+    single = shapely.get_num_geometries(table.geometry.to_numpy()) == 1
+    parts = shapely.get_geometry(table.geometry.to_numpy(), 0)
+    table = table.set_geometry(np.where(single, parts, table.geometry.to_numpy()), crs=table.crs)
     wrong = table.geometry.geom_type != "LineString"
     if wrong.any():
         raise InputError(f"{path}: layer '{LINES}' has a row that is no line; delete it there")
@@ -164,6 +168,9 @@ def _read_layers(path: Path, frame: EarthFrame | None) -> PoleMap:
             pole_map = replace(pole_map, doubtful=doubtful.to_frame(pole_map.frame))
         if not of_lines:
             return pole_map
+        if not are_ours(pyogrio.read_info(path, layer=LINES)["fields"].tolist()):
+            said = f"its layer '{LINES}' has not the columns of a map's lines and is not used"
+            return replace(pole_map, notes=(*pole_map.notes, said))
         return replace(pole_map, lines=_read_lines(path, pole_map.frame))
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, StopIteration) as error:
         raise InputError(

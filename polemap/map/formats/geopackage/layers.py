@@ -9,7 +9,7 @@ from pathlib import Path
 
 from polemap.drivelog.errors import OutputError
 from polemap.map.city.geopackage.io import LAYER
-from polemap.map.formats.lines import LINES
+from polemap.map.formats.lines import LINES, are_ours
 from polemap.parsing.errors import short
 
 DOUBTFUL = "doubtful"
@@ -28,12 +28,15 @@ def check_layers(path: Path) -> None:
     try:
         with closing(sqlite3.connect(address, uri=True)) as database:
             found = database.execute("SELECT table_name FROM gpkg_contents").fetchall()
+            columns = [row[1] for row in database.execute(f'PRAGMA table_info("{LINES}")')]
     except (sqlite3.Error, UnicodeError) as error:
         raise OutputError(
             f"{path}: is there already and is no GeoPackage that can be read "
             f"({short(str(error))}); name another file, or delete it"
         ) from error
-    others = sorted(str(name) for (name,) in found if name not in _OURS)
+    # a GIS calls its streets lines, too
+    ours = _OURS if are_ours(columns) else _OURS - {LINES}
+    others = sorted(str(name) for (name,) in found if name not in ours)
     if others:
         raise OutputError(
             f"{path}: holds the layer {ascii(others[0])[:60]}, which polemap did not write and "
