@@ -19,7 +19,7 @@ from polemap.settings import Settings, load_settings
 from polemap.tools.background import check_background, read_background
 from polemap.tools.findings import require_plausible
 from polemap.tools.map_condensed import build_condensed, is_long
-from polemap.tools.map_files import compare, convert_map, tell_lost_lines
+from polemap.tools.map_files import compare, convert_map
 from polemap.tools.map_job import MapJob, open_workers
 from polemap.tools.map_picture import (
     check_picture,
@@ -214,7 +214,6 @@ def _make(
     for line in slam_sentences(solved.result) if solved is not None else ():
         typer.echo(line)
     _say(built, opened, job.out)
-    tell_lost_lines(built.pole_map, job.out)
     if job.index:
         with job.pool() as pool:
             make_index(job.out, pool)

@@ -10,8 +10,7 @@ import typer
 from polemap.build.map_diff import CHANGE, DISTANCE, compare_maps, diff_map
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.readers.registry import open_drive
-from polemap.map.io import LINE_ENDINGS, check_writable, export_map, read_map, write_map
-from polemap.map.pole_map import PoleMap
+from polemap.map.io import check_writable, export_map, read_map, write_map
 
 
 def compare(maps: list[Path], out: Path | None, align: bool) -> None:
@@ -53,18 +52,4 @@ def convert_map(
     export_map(pole_map, out)
     for note in pole_map.notes:
         typer.echo(f"note: {note}")
-    typer.echo(f"{out}: {len(pole_map)} poles in {pole_map.frame}")
-    tell_lost_lines(pole_map, out)
-
-
-def tell_lost_lines(pole_map: PoleMap, out: Path) -> None:
-    """Say where a map's lines have no place in the file that it was written to."""
-    if (
-        pole_map.lines is not None
-        and len(pole_map.lines)
-        and out.suffix.lower() not in LINE_ENDINGS
-    ):
-        typer.echo(
-            f"{out}: holds no lines, {len(pole_map.lines)} were left out; for those name it "
-            f"{' or '.join(out.with_suffix(ending).name for ending in LINE_ENDINGS)}"
-        )
+    typer.echo(f"{out}: {pole_map.described} in {pole_map.frame}")

@@ -7,6 +7,7 @@ prints the table of docs/particle_filter.md. Not timed, so `python -m benchmarks
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
-from polemap.drivelog.samples import GnssFix, OdometrySample
+from polemap.drivelog.samples import GnssFix, OdometrySample, Sample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
@@ -84,8 +85,13 @@ def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], 
     if case.start_offset is not None:
         start = drive.motion.at(0.0)[0] + np.array(case.start_offset)
         particle_filter.set_pose(0.0, start, np.diag([0.25, 0.25, 0.003]))
+    return drive, play(particle_filter, drive.samples), particle_filter
+
+
+def play(particle_filter: ParticleFilter, samples: Iterable[Sample]) -> list[PfEstimate]:
+    """The estimates of a filter that hears samples."""
     estimates = []
-    for sample in drive.samples:
+    for sample in samples:
         if isinstance(sample, OdometrySample):
             particle_filter.add_odometry(sample)
         elif isinstance(sample, GnssFix):
@@ -94,7 +100,7 @@ def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], 
             estimate = particle_filter.process_scan(sample)
             if estimate is not None:
                 estimates.append(estimate)
-    return drive, estimates, particle_filter
+    return estimates
 
 
 def rms(values: Floats) -> float:

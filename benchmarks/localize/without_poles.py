@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.localize.line_streets import Repaint, Street, street_drive, ways
-from benchmarks.localize.particle_filter_recovery import rms
-from polemap.drivelog.detections import Detections
-from polemap.drivelog.samples import GnssFix, OdometrySample
+from benchmarks.localize.particle_filter_recovery import play, rms
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.particle_filter.estimate import PfEstimate
 from polemap.localize.particle_filter.filter import ParticleFilter
@@ -93,17 +91,7 @@ def drive_through(case: Case, seed: int) -> tuple[PointDrive, list[PfEstimate], 
         WHEELBASE_M,
         np.random.default_rng(seed + 1000),
     )
-    estimates = []
-    for sample in drive.samples:
-        if isinstance(sample, OdometrySample):
-            particle_filter.add_odometry(sample)
-        elif isinstance(sample, GnssFix):
-            particle_filter.add_fix(sample)
-        elif isinstance(sample, Detections):
-            estimate = particle_filter.process_scan(sample)
-            if estimate is not None:
-                estimates.append(estimate)
-    return drive, estimates, particle_filter
+    return drive, play(particle_filter, drive.samples), particle_filter
 
 
 def judge(case: Case, drive: PointDrive, estimates: list[PfEstimate]) -> dict[str, float]:

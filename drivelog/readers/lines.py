@@ -15,13 +15,13 @@ from polemap.drivelog.findings import Finding
 from polemap.drivelog.landmark_kind import LINE_KINDS, LandmarkKind, LineStyle
 from polemap.drivelog.line_detections import LineDetections
 from polemap.drivelog.readers.columns import FILES
+from polemap.drivelog.readers.crowd import check_crowd
 from polemap.drivelog.readers.given import is_given, row_findings
 from polemap.drivelog.stamps import in_order
 from polemap.drivelog.tables import Table, read_table
 
 Floats = NDArray[np.float64]
 
-MOST_A_SCAN = 300
 _TEXTS = ("kind", "style")
 # with fewer of its stamps among the scans, lines come from a detector that looked by itself
 _SAME_DETECTOR = 0.5
@@ -75,7 +75,7 @@ def _read_lines(path: Path, problems: Counter[str], findings: list[Finding]) -> 
         optional_texts=("style",),
     )  # fmt: skip
     table = in_order(table, findings, duplicates="allow")
-    _check_crowd(table)
+    check_crowd(table, "lines", "keep the longest")
     if "arrival_s" in table and (early := table["arrival_s"] < table["stamp_s"]).any():
         problems["lines_arrival_before_stamp"] += int(np.count_nonzero(early))
     positive = (table["offset_sd_m"] > 0) & (table["direction_sd_rad"] > 0)
@@ -86,18 +86,6 @@ def _read_lines(path: Path, problems: Counter[str], findings: list[Finding]) -> 
     for reason, count in table.dropped.items():
         problems[f"lines_{reason}"] += count
     return table
-
-
-def _check_crowd(table: Table) -> None:
-    stamps = table["stamp_s"]
-    crowded = np.flatnonzero(stamps[MOST_A_SCAN:] == stamps[:-MOST_A_SCAN])
-    if len(crowded):
-        row = int(crowded[0])
-        count = int(np.count_nonzero(stamps == stamps[row]))
-        raise InputError(
-            f"{table.path}, line {table.lines[row]}: {count} lines at stamp_s {stamps[row]:.6f}, "
-            f"a scan may have {MOST_A_SCAN}; keep the longest, or give each scan its own stamp"
-        )
 
 
 def _pieces(table: Table) -> LineDetections:

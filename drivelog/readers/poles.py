@@ -14,6 +14,7 @@ from polemap.drivelog.detections import Detections, VisibleRegion, pole_detectio
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind
+from polemap.drivelog.readers.crowd import check_crowd
 from polemap.drivelog.readers.drive_yaml_parts import DetectorPart
 from polemap.drivelog.readers.given import is_given, row_findings
 from polemap.drivelog.readers.lines import add_lines, kind_names, named_values
@@ -25,7 +26,6 @@ Floats = NDArray[np.float64]
 
 _COLUMNS = ("stamp_s", "x_m", "y_m", "var_x_m2", "var_y_m2", "cov_xy_m2")
 _OPTIONAL = ("width_m", "arrival_s", "probability", "facing_rad")
-MOST_A_SCAN = 300
 _FEW = 200  # fewer poles than this do not show the outline of a sensor's view
 
 
@@ -71,7 +71,7 @@ def _count(table: Table, problems: Counter[str]) -> None:
 def _read_poles(path: Path, problems: Counter[str], findings: list[Finding]) -> Table:
     table = read_table(path, _COLUMNS, optional=_OPTIONAL, optional_texts=("kind",))
     table = in_order(table, findings, duplicates="allow")
-    _check_crowd(table)
+    check_crowd(table, "poles", "keep the surest")
     var_x, var_y = table["var_x_m2"], table["var_y_m2"]
     if "arrival_s" in table and (early := table["arrival_s"] < table["stamp_s"]).any():
         problems["poles_arrival_before_stamp"] += int(np.count_nonzero(early))
@@ -113,25 +113,6 @@ def _first_of_each(table: Table) -> NDArray[np.bool_]:
     # a stable order: of rows that are alike the first in the file comes first
     first[order[1:]] = (keys[1:] != keys[:-1]).any(axis=1)
     return first
-
-
-def _check_crowd(table: Table) -> None:
-    """No scan has more poles than a street has: matching takes the square of their number.
-
-    Raises:
-        InputError: the first scan that has.
-    """
-    stamps = table["stamp_s"]
-    if len(stamps) <= MOST_A_SCAN:
-        return
-    crowded = np.flatnonzero(stamps[MOST_A_SCAN:] == stamps[:-MOST_A_SCAN])
-    if len(crowded):
-        row = int(crowded[0])
-        count = int(np.count_nonzero(stamps == stamps[row]))
-        raise InputError(
-            f"{table.path}, line {table.lines[row]}: {count} poles at stamp_s {stamps[row]:.6f}, "
-            f"a scan may have {MOST_A_SCAN}; keep the surest, or give each scan its own stamp"
-        )
 
 
 def _scans(

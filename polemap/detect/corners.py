@@ -24,6 +24,7 @@ from polemap.detect.corner_edges import UprightEdges, find_upright_edges
 from polemap.detect.corner_features import corner_features
 from polemap.detect.corner_surface import Walls, sample_walls
 from polemap.detect.ground import Ground
+from polemap.detect.sight import first_of_each, sight_covariance
 from polemap.drivelog.detections import Detections, VisibleRegion
 from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.samples import Image, StereoFrame
@@ -194,21 +195,11 @@ def _covariance(
     sd_range = depth**2 / focal_baseline * np.hypot(CORNER_DISPARITY_SD_PX, disparity_sd)
     sd_column = np.where(sharp, CORNER_COLUMN_SD_PX, 2.0 * CORNER_COLUMN_SD_PX)
     sd_across = np.hypot(depth / rig.focal_px * sd_column, CORNER_ACROSS_SD_M)
-    ray = points - np.array([rig.vehicle_from_camera.x_m, rig.vehicle_from_camera.y_m])
-    ray = ray / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-6)[:, None]
-    across = np.stack([-ray[:, 1], ray[:, 0]], axis=1)
-    return np.asarray(
-        sd_range[:, None, None] ** 2 * ray[:, :, None] * ray[:, None, :]
-        + sd_across[:, None, None] ** 2 * across[:, :, None] * across[:, None, :]
-    )
+    return sight_covariance(points, sd_range, sd_across, rig)
 
 
 def _suppress(found: StereoCorners) -> StereoCorners:
     """Drop what a better candidate already explains: the same place."""
     gap = np.hypot(*np.moveaxis(found.points_vehicle_m[:, None] - found.points_vehicle_m, 2, 0))
     same = gap < 0.4 + 0.02 * np.hypot(*found.points_vehicle_m.T)
-    keep = np.ones(len(found), dtype=bool)
-    for row in range(len(found)):
-        if keep[row]:
-            keep[row + 1 :] &= ~same[row, row + 1 :]
-    return found.take(keep)
+    return found.take(first_of_each(same))

@@ -28,6 +28,7 @@ from polemap.detect.ground import Ground, fit_ground
 from polemap.detect.hypotheses import Hypotheses, find_hypotheses
 from polemap.detect.lines.find import find_lines
 from polemap.detect.refine import refine_disparity
+from polemap.detect.sight import first_of_each, sight_covariance
 from polemap.detect.slices import find_slices
 from polemap.detect.visibility import visible_region
 from polemap.drivelog.detections import Detections, VisibleRegion
@@ -246,13 +247,7 @@ def _covariance(
     # what is wide may be two things that stand side by side
     sd_across = np.hypot(sd_across, ACROSS_SD_SHARE * width_m)
     sd_across = np.where(profiles.border, np.hypot(sd_across, 0.25 * width_m + 0.05), sd_across)
-    ray = points - np.array([rig.vehicle_from_camera.x_m, rig.vehicle_from_camera.y_m])
-    ray = ray / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-6)[:, None]
-    across = np.stack([-ray[:, 1], ray[:, 0]], axis=1)
-    return np.asarray(
-        sd_range[:, None, None] ** 2 * ray[:, :, None] * ray[:, None, :]
-        + sd_across[:, None, None] ** 2 * across[:, :, None] * across[:, None, :]
-    )
+    return sight_covariance(points, sd_range, sd_across, rig)
 
 
 def _suppress(found: StereoDetections) -> StereoDetections:
@@ -266,8 +261,4 @@ def _suppress(found: StereoDetections) -> StereoDetections:
     inside = overlap > 0.3 * np.minimum(width[:, None], width)
     ratio = found.disparity_px[:, None] / found.disparity_px
     same = inside & (np.abs(np.log(ratio)) < 0.1)
-    keep = np.ones(len(found), dtype=bool)
-    for row in range(len(found)):
-        if keep[row]:
-            keep[row + 1 :] &= ~same[row, row + 1 :]
-    return found.take(keep)
+    return found.take(first_of_each(same))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import numpy as np
 from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.errors import FrameError, InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.drivelog.landmark_kind import LandmarkKind, kind_counts
 from polemap.drivelog.results.signature import check_signature
 from polemap.drivelog.tables import read_table
 from polemap.extras import check_installed, need
@@ -71,18 +73,40 @@ def export_map(pole_map: PoleMap, path: Path) -> None:
         known = ", ".join(sorted(writers))
         raise InputError(f"{path}: a map is exported as one of {known}; choose such an ending")
     _check_replaceable(path)
+    _warn_of_lost(pole_map, path)
+    if path.suffix.lower() in _EXPORTERS:
+        # what other programs would take for a pole must be one
+        pole_map = pole_map.rows(pole_map.kind == LandmarkKind.POLE)
     _write(pole_map, path, writers[path.suffix.lower()])
 
 
 def write_map(pole_map: PoleMap, path: str | Path) -> None:
-    """Write a map; the ending chooses the format.
+    """Write a map; the ending chooses the format, and a warning says what it has no place for.
 
     Raises:
         InputError: an ending that is not known, or a place that cannot be written to.
     """
     path = Path(path)
     check_writable(path)
+    _warn_of_lost(pole_map, path)
     _write(pole_map, path, _WRITERS[path.suffix.lower()])
+
+
+def _warn_of_lost(pole_map: PoleMap, path: Path) -> None:
+    """Say what of a map has no place in a format."""
+    suffix = path.suffix.lower()
+    lost = [np.empty(0, dtype=np.int8)]
+    if pole_map.lines is not None and suffix not in LINE_ENDINGS:
+        lost.append(pole_map.lines.kind)
+    if suffix in _EXPORTERS:
+        lost.append(pole_map.kind[pole_map.kind != LandmarkKind.POLE])
+    counted = kind_counts(np.concatenate(lost))
+    if counted:
+        warnings.warn(
+            f"{path}: has no place for {counted}, which were left out; a "
+            f"{' or '.join(LINE_ENDINGS)} keeps them",
+            stacklevel=3,
+        )
 
 
 def _write(pole_map: PoleMap, path: Path, writer: Callable[[PoleMap, Path], None]) -> None:

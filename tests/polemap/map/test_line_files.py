@@ -14,9 +14,11 @@ import shapely
 
 from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.io import read_map, write_map
+from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.map.city.io import open_city
+from polemap.map.io import export_map, read_map, write_map
 from polemap.map.line_map import LineMap
-from polemap.map.pole_map import PoleMap
+from polemap.map.pole_map import KIND_COLUMN, PoleMap, join_maps
 
 
 def _map(frame: EarthFrame, origin: tuple[float, float]) -> PoleMap:
@@ -153,3 +155,40 @@ def test_values_that_no_line_has_are_refused(
     path.write_text(json.dumps(document).replace("Infinity", "1e999"))
     with pytest.raises(InputError, match=said):
         read_map(path)
+
+
+@pytest.mark.parametrize("ending", ["parquet", "osm"])
+def test_what_a_format_has_no_place_for_is_told(tmp_path: Path, ending: str) -> None:
+    made = _map(UTM, PLACE)
+    with pytest.warns(UserWarning, match=rf"m.{ending}: has no place for 1 lane marking, 1 kerb"):
+        export_map(made, tmp_path / f"m.{ending}")
+
+
+def test_other_programs_are_given_poles_alone(tmp_path: Path) -> None:
+    path = tmp_path / "m.osm"
+    made = replace(_map(UTM, PLACE), lines=None)
+    corner = np.array([LandmarkKind.CORNER], dtype=np.int8)
+    both = join_maps([made, replace(made, ids=np.array([5]), extra={KIND_COLUMN: corner})])
+    with pytest.warns(UserWarning, match="no place for 1 corner"):
+        export_map(both, path)
+    assert path.read_text().count("<node ") == 1
+
+
+@pytest.mark.parametrize("layer", ["poles", "doubtful"])
+def test_an_inventory_that_somebody_keeps_is_never_replaced(tmp_path: Path, layer: str) -> None:
+    path = tmp_path / "city.gpkg"
+    inventory = geopandas.GeoDataFrame({"owner": ["city"]}, geometry=shapely.points([[1, 2]]))
+    pyogrio.write_dataframe(inventory.set_crs(32633), path, layer=layer)
+    before = path.read_bytes()
+    with pytest.raises(OutputError, match=f"holds the layer '{layer}', which polemap did not"):
+        write_map(_map(UTM, PLACE), path)
+    assert path.read_bytes() == before
+
+
+def test_lines_of_a_city_are_not_left_out_without_a_word(tmp_path: Path) -> None:
+    write_map(_map(UTM, PLACE), tmp_path / "with.gpkg")
+    write_map(replace(_map(UTM, PLACE), lines=None), tmp_path / "without.gpkg")
+    for name, told in (("with", True), ("without", False)):
+        city = open_city(tmp_path / f"{name}.gpkg")
+        assert city is not None
+        assert any("lines are not used" in note for note in city.notes) == told

@@ -18,6 +18,7 @@ from polemap.map.city.statistics import MapStatistics
 from polemap.map.city.stored import METADATA_KEY, StoredCity
 from polemap.map.city.tiles import Key, Tile
 from polemap.map.formats.columns import KNOWN, from_columns
+from polemap.map.formats.lines import LINES, are_ours
 from polemap.map.pole_map import KIND_COLUMN
 from polemap.parsing.errors import ParsingError, short
 
@@ -32,6 +33,21 @@ _POINT = np.dtype(
      ("type", "<u4"), ("x", "<f8"), ("y", "<f8")]
 )  # fmt: skip
 _LITTLE_ENDIAN_WITHOUT_BOX, _WKB_POINT = 1, 1
+
+
+def has_lines(path: Path) -> bool:
+    """Whether a GeoPackage of ours holds line landmarks.
+
+    Raises:
+        InputError: a GeoPackage that cannot be read.
+    """
+    try:
+        with closing(_connect(path)) as database:
+            columns = [row[1] for row in database.execute(f'PRAGMA table_info("{LINES}")')]
+            held = database.execute(f'SELECT 1 FROM "{LINES}" LIMIT 1') if columns else None
+            return are_ours(columns) and held is not None and held.fetchone() is not None
+    except sqlite3.Error as error:
+        raise InputError(f"{path}: not a GeoPackage of poles ({short(error)})") from error
 
 
 def describe_city(path: Path, city: StoredCity) -> None:

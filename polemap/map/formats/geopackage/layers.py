@@ -13,6 +13,7 @@ from polemap.map.formats.lines import LINES, are_ours
 from polemap.parsing.errors import short
 
 DOUBTFUL = "doubtful"
+_MARKS = frozenset({"existence", "observations", "drives"})  # of every layer of points of a map
 _OURS = frozenset({LAYER, DOUBTFUL, LINES, "layer_styles"})
 
 
@@ -28,14 +29,19 @@ def check_layers(path: Path) -> None:
     try:
         with closing(sqlite3.connect(address, uri=True)) as database:
             found = database.execute("SELECT table_name FROM gpkg_contents").fetchall()
-            columns = [row[1] for row in database.execute(f'PRAGMA table_info("{LINES}")')]
+            columns = {
+                name: [row[1] for row in database.execute(f'PRAGMA table_info("{name}")')]
+                for name in (LAYER, DOUBTFUL, LINES)
+            }
     except (sqlite3.Error, UnicodeError) as error:
         raise OutputError(
             f"{path}: is there already and is no GeoPackage that can be read "
             f"({short(str(error))}); name another file, or delete it"
         ) from error
-    # a GIS calls its streets lines, too
-    ours = _OURS if are_ours(columns) else _OURS - {LINES}
+    # a GIS calls its streets lines, an inventory its points poles
+    theirs = {name for name in (LAYER, DOUBTFUL) if not set(columns[name]) >= _MARKS}
+    theirs |= set() if are_ours(columns[LINES]) else {LINES}
+    ours = _OURS - theirs
     others = sorted(str(name) for (name,) in found if name not in ours)
     if others:
         raise OutputError(
