@@ -168,7 +168,7 @@ def test_other_programs_are_given_poles_alone(tmp_path: Path) -> None:
     path = tmp_path / "m.osm"
     made = replace(_map(UTM, PLACE), lines=None)
     corner = np.array([LandmarkKind.CORNER], dtype=np.int8)
-    both = join_maps([made, replace(made, ids=np.array([5]), extra={KIND_COLUMN: corner})])
+    both = join_maps(made, replace(made, ids=np.array([5]), extra={KIND_COLUMN: corner}))
     with pytest.warns(UserWarning, match="no place for 1 corner"):
         export_map(both, path)
     assert path.read_text().count("<node ") == 1
