@@ -34,9 +34,14 @@ def kind_counts(kinds: NDArray[np.int8]) -> str:
     told = []
     for kind, count in zip(*np.unique(kinds, return_counts=True), strict=True):
         known = kind in LandmarkKind.__members__.values()
-        name = LandmarkKind(kind).name.lower().replace("_", " ") if known else f"of kind {kind}"
-        told.append(f"{count} {name}{'s' if known and count != 1 else ''}")
+        told.append(f"{count} {kind_name(kind)}{'s' if known and count != 1 else ''}")
     return ", ".join(told)
+
+
+def kind_name(kind: int) -> str:
+    """A kind for readers: "lane marking"; "of kind 7" of one that no release knows yet."""
+    known = kind in LandmarkKind.__members__.values()
+    return LandmarkKind(kind).name.lower().replace("_", " ") if known else f"of kind {kind}"
 
 
 class LineStyle(IntEnum):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from polemap.drivelog.atomic import atomic_file
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame, geographic_from_grid
-from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle
+from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle, kind_name
 from polemap.drivelog.results.signature import CREATOR
 from polemap.evaluation.localizability import Localizability, drive_sensor, localizability
 from polemap.extras import check_installed
@@ -34,7 +35,7 @@ _LINE_COLOURS = {
     LandmarkKind.KERB: "sienna",
     LandmarkKind.FACADE: "slateblue",
 }
-_LETTERS_PT, _WIDTH_IN, _MARGIN = 15, 9.0, 0.05
+_LETTERS_PT, _WIDTH_IN, _MARGIN, _TITLE_LETTERS = 15, 9.0, 0.05, 52
 
 
 def check_picture(path: Path | None) -> None:
@@ -124,15 +125,15 @@ def draw_map(
     path: Path,
     background: Background | None = None,
 ) -> None:
-    """Poles coloured by existence, sized by width; their density, or what lies under them; routes
-    by the lateral bound."""
+    """Landmarks coloured by existence, poles sized by width; their density, or what lies under
+    them; routes by the lateral bound."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     places = pole_map.points_m
-    if not len(places) and pole_map.lines is not None:
-        places = pole_map.lines.vertices_m
+    if pole_map.lines is not None:
+        places = np.concatenate([places, pole_map.lines.vertices_m])
     centre = places.mean(axis=0).round() if pole_map.frame.is_utm else np.zeros(2)
     shown = [places, *(part.poses[:, :2] for part in parts)]
     low, high = _extent(np.concatenate(shown) - centre)
@@ -180,14 +181,10 @@ def _draw(
         route = axes.scatter(
             route_m[:, 0], route_m[:, 1], c=bound, cmap="RdYlGn_r", vmin=0.0, vmax=0.5, s=14, lw=0
         )
-    width = np.where(np.isfinite(pole_map.width_m), pole_map.width_m, 0.2)
-    dots = axes.scatter(
-        points[:, 0], points[:, 1], c=pole_map.existence, cmap="viridis", vmin=0.5, vmax=1.0,
-        s=24 + 80 * width, edgecolors="black", linewidths=0.5,
-    )  # fmt: skip
-    bars = [(dots, "existence of the pole")]
-    shaded = shaded and len(points) > 0
-    bars += [(_density(axes, points), "poles a hectare")] if shaded else []
+    bars = [(_draw_points(axes, pole_map, points), "existence")]
+    poles = points[pole_map.kind == LandmarkKind.POLE]
+    shaded = shaded and len(poles) > 0
+    bars += [(_density(axes, poles), "poles a hectare")] if shaded else []
     bars += [(route, "lateral bound, 1 sd (m)")] if parts else []
     for drawn, label in bars:
         figure.colorbar(drawn, ax=axes, location="bottom", label=label, **_BAR)
@@ -195,7 +192,25 @@ def _draw(
     shift = f" - {centre[0]:.0f}" if centre.any() else ""
     axes.set_xlabel(f"east{shift} (m)")
     axes.set_ylabel(f"north - {centre[1]:.0f} (m)" if centre.any() else "north (m)")
-    axes.set_title(f"{pole_map.described}, {pole_map.frame}")
+    axes.set_title(textwrap.fill(f"{pole_map.described}, {pole_map.frame}", _TITLE_LETTERS))
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(loc="best", fontsize="small")
+
+
+def _draw_points(axes: Any, pole_map: PoleMap, points: Floats) -> Any:
+    """Poles as circles as wide as they are, what is none of them as triangles that are named."""
+    width = np.where(np.isfinite(pole_map.width_m), pole_map.width_m, 0.2)
+    dots = None
+    for kind in np.unique([LandmarkKind.POLE, *pole_map.kind]).tolist():
+        chosen = pole_map.kind == kind
+        pole = kind == LandmarkKind.POLE
+        drawn = axes.scatter(
+            points[chosen, 0], points[chosen, 1], c=pole_map.existence[chosen], cmap="viridis",
+            vmin=0.5, vmax=1.0, s=24 + 80 * width[chosen], marker="o" if pole else "^",
+            edgecolors="black", linewidths=0.5, label=None if pole else kind_name(kind),
+        )  # fmt: skip
+        dots = dots or drawn
+    return dots
 
 
 def _draw_lines(axes: Any, lines: LineMap, centre: Floats) -> None:
@@ -206,6 +221,5 @@ def _draw_lines(axes: Any, lines: LineMap, centre: Floats) -> None:
         east, north = (lines.polyline_m(row) - centre).T
         axes.plot(east, north, style, color=colour, linewidth=1.2, zorder=0.5)
     for kind in np.unique(lines.kind).tolist():
-        name = LandmarkKind(kind).name.lower().replace("_", " ")
-        axes.plot([], [], color=_LINE_COLOURS[LandmarkKind(kind)], linewidth=1.2, label=name)
-    axes.legend(loc="best", fontsize="small")
+        colour = _LINE_COLOURS[LandmarkKind(kind)]
+        axes.plot([], [], color=colour, linewidth=1.2, label=kind_name(kind))
