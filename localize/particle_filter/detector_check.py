@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +47,10 @@ _CHANGE_SD, _HINT_SD = 3.5, (1.0, 2.5)
 _HINT_KEPT = 0.7
 # of poles, before some have been matched
 _REACH_M = 15.0
+# a turn that many poles have told is still known where few are seen: a mounting that gives way
+# wanders by so much in the root of a metre (half of what is tolerated in 75 m), and what is seen
+# later speaks for another turn from so many deviations on
+_WANDER_RAD_PER_SQRT_M, _ANOTHER_SD = 0.0005, 1.0
 # sd of the errors that are met, for what is likely of one that is found
 _MET_SD = np.array([2.0, 2.0, 1.0]) * TOLERANCE
 # after a contradiction the calibration is acquitted when all looks since then say four times in a
@@ -55,6 +61,25 @@ _ACQUITTED_FITS = 4
 # after a start a single fit of the ranges is enough; a car that stands, or sees next to nothing, is
 # not waited for longer
 _START_ACQUITTED, _START_S = np.array([np.inf, 0.1, np.inf]), 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class _KnownTurn:
+    """Turn of the detector, its deviation, and the way driven when poles told it."""
+
+    turn_rad: float
+    sd_rad: float
+    at_m: float
+
+    def sd_at(self, travelled_m: float) -> float:
+        """What is left of it further on."""
+        way_m = max(travelled_m - self.at_m, 0.0)
+        return float(np.hypot(self.sd_rad, _WANDER_RAD_PER_SQRT_M * np.sqrt(way_m)))
+
+    def agrees(self, fit: StretchFit, travelled_m: float) -> bool:
+        """Whether what was seen since then does not speak for another one."""
+        spread = float(np.hypot(self.sd_at(travelled_m), fit.sd[0]))
+        return bool(abs(fit.values[0] - self.turn_rad) <= _ANOTHER_SD * spread)
 
 
 class DetectorCheck:
@@ -92,6 +117,7 @@ class DetectorCheck:
         self._hint = np.zeros(len(KINDS))
         self._speed_mps, self._reach_m = 0.0, _REACH_M
         self.fit: StretchFit | None = None
+        self._known_turn: _KnownTurn | None = None
 
     @property
     def acquitted(self) -> bool:
@@ -115,6 +141,10 @@ class DetectorCheck:
         excess = _MET_SD[0]
         if self.fit is not None:
             excess = abs(self.fit.values[0]) + self.fit.sd[0] - TOLERANCE[0]
+            known = self._known_turn
+            if known is not None and known.agrees(self.fit, self._fitted_m):
+                sd = known.sd_at(self._fitted_m)
+                excess = min(excess, abs(known.turn_rad) + sd - TOLERANCE[0])
         elif (told := self.course.turn(-np.inf)) is not None:
             excess = abs(told[0]) + told[1] - TOLERANCE[0]
         possible = np.array([np.clip(excess, 0.0, _MET_SD[0]), 0.0, 0.0])
@@ -146,6 +176,7 @@ class DetectorCheck:
         self._unproven[:] = False
 
     def _doubt(self) -> None:
+        self._known_turn = None
         self._unproven[:] = True
         self._bounds, self._fits_needed = _ACQUITTED, _ACQUITTED_FITS
         self._proven[:] = 0
@@ -242,6 +273,7 @@ class DetectorCheck:
             )
         if kind >= 0:
             return self._accuse(kind, found)
+        self._remember_turn(travelled_m)
         self._acquit(proven, travelled_m)
         if not sound:
             self._sound_since_m = np.inf
@@ -250,6 +282,18 @@ class DetectorCheck:
             if travelled_m - self._sound_since_m >= _SETTLED_M:
                 self._kind = -1
         return False
+
+    def _remember_turn(self, travelled_m: float) -> None:
+        """Keep the turn where poles have told it best."""
+        if self.fit is None:
+            return
+        known, (turn, *_), (sd, *_) = self._known_turn, self.fit.values, self.fit.sd
+        if (
+            known is None
+            or sd <= known.sd_at(travelled_m)
+            or not known.agrees(self.fit, travelled_m)
+        ):
+            self._known_turn = _KnownTurn(float(turn), float(sd), travelled_m)
 
     def _changed(self, change: Change) -> bool:
         sd = np.hypot(change.sd, _UNEXPLAINED[change.kind])

@@ -202,6 +202,23 @@ def test_a_turn_that_no_pole_has_excluded_yet_widens_the_pose() -> None:
     assert turned.calibration_sd[1] > np.hypot(turned.hinted_sd[1], 0.005)
 
 
+@pytest.mark.parametrize(("turn_rad", "wide"), [(0.0, False), (0.03, True)])
+def test_a_turn_that_many_poles_excluded_stays_so_unless_what_is_seen_says_another(
+    turn_rad: float, wide: bool
+) -> None:
+    check, _ = drive(7)
+    # 90 m further on there are two poles only, which tell a turn badly
+    poles = np.array([[322.0, 6.0], [326.0, -5.0]])
+    for k in range(10):
+        pose = np.array([300.0 + k, 0.0, 0.0])
+        seen = inverse_transform_points(pose, poles) @ rotation(turn_rad).T
+        scan = scan_at(40.0 + 0.1 * k, seen)
+        check.add_scan(scan, mapped(poles), pose, pose, 300.0 + k, (8.0, 0.0))
+    assert check.fit is not None
+    assert check.fit.sd[0] > 0.015
+    assert (check.calibration_sd[1] > 0.003) == wide
+
+
 @pytest.mark.parametrize(("turn_rad", "reason"), [(0.0, ""), (0.035, "turned"), (-0.035, "turned")])
 def test_a_camera_that_sees_its_own_course_is_judged_within_few_metres(
     turn_rad: float, reason: str
