@@ -74,7 +74,7 @@ def export_map(pole_map: PoleMap, path: Path) -> None:
         raise InputError(f"{path}: a map is exported as one of {known}; choose such an ending")
     _check_replaceable(path)
     _warn_of_lost(pole_map, path)
-    if path.suffix.lower() in _EXPORTERS:
+    if path.suffix.lower() in _POLES_ALONE:
         # what other programs would take for a pole must be one
         pole_map = pole_map.rows(pole_map.kind == LandmarkKind.POLE)
     _write(pole_map, path, writers[path.suffix.lower()])
@@ -96,9 +96,9 @@ def _warn_of_lost(pole_map: PoleMap, path: Path) -> None:
     """Say what of a map has no place in a format."""
     suffix = path.suffix.lower()
     lost = [np.empty(0, dtype=np.int8)]
-    if pole_map.lines is not None and suffix not in LINE_ENDINGS:
+    if pole_map.lines is not None and suffix not in (*LINE_ENDINGS, ".xodr"):
         lost.append(pole_map.lines.kind)
-    if suffix in _EXPORTERS:
+    if suffix in _POLES_ALONE:
         lost.append(pole_map.kind[pole_map.kind != LandmarkKind.POLE])
     counted = kind_counts(np.concatenate(lost))
     if counted:
@@ -255,6 +255,7 @@ _READERS = {
 _WRITERS = {".gpkg": _write_geopackage, ".geojson": _write_geojson, ".parquet": _write_parquet}
 # for other programs only: they keep less than the whole map
 _EXPORTERS = {".osm": _write_osm, ".pbf": _write_pbf, ".xodr": _write_opendrive}
+_POLES_ALONE = (".osm", ".pbf")
 MAP_ENDINGS = tuple(sorted(_READERS))
 LINE_ENDINGS = (".gpkg", ".geojson")
-"""Of formats that hold lines, too."""
+"""Of formats that hold lines, too, and are read again."""

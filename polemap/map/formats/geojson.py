@@ -88,13 +88,18 @@ def _line_features(lines: LineMap) -> list[dict[str, Any]]:
     ]
 
 
-def _lines_of(features: list[Any], frame: EarthFrame) -> LineMap | None:
-    """The lines of a map of ours; None where it has none.
+def _lines_of(
+    features: list[Any], frame: EarthFrame, system: Any
+) -> tuple[LineMap | None, tuple[str, ...]]:
+    """The lines of a map of ours, None where it has none, and a note on those moved by hand.
+
+    Args:
+        system: the document's member `crs`.
 
     Raises:
         InputError: positions that are none, or values that no line has.
     """
-    vertices, told = [], []
+    vertices, told, moved = [], [], 0
     for row, feature in enumerate(features):
         if not _is_line(feature):
             continue
@@ -102,16 +107,22 @@ def _lines_of(features: list[Any], frame: EarthFrame) -> LineMap | None:
         parts = coordinates if isinstance(coordinates, list) else []
         places = np.array([_position(part, row) for part in parts], np.float64).reshape(-1, 2)
         if frame.is_utm and len(places):
+            places = _in_wgs84(system, places)[0]
             places = grid_from_geographic(frame, places[:, 1], places[:, 0])
         properties = _properties(feature, row)
         given = properties.get("grid_m")
-        if isinstance(given, list) and len(given) == len(places):
+        if isinstance(given, list):
             grid = np.array([_position(part, row) for part in given]).reshape(-1, 2)
-            same = np.hypot(*(grid - places).T) < _SAME_PLACE_M
-            places = np.where(same[:, None], grid, places)
+            same = np.zeros(len(places), dtype=bool)
+            if len(grid) == len(places):
+                same = np.hypot(*(grid - places).T) < _SAME_PLACE_M
+                places = np.where(same[:, None], grid, places)
+            moved += not same.all()
         vertices.append(places)
         told.append(properties)
-    return from_features(frame, vertices, told) if told else None
+    notes = (f"{moved} lines do not run through their grid_m: they were moved by hand, and their "
+             "vertices count",) if moved else ()  # fmt: skip
+    return (from_features(frame, vertices, told) if told else None), notes
 
 
 def _is_line(feature: Any) -> bool:
@@ -143,12 +154,14 @@ def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
     if not isinstance(features, list):
         raise InputError("the FeatureCollection has no features")
     ours, lines = document.get("polemap"), None
+    of_lines: tuple[str, ...] = ()
     if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
-        lines = _lines_of(features, EarthFrame.from_dict(ours["frame"]))
+        own_frame = EarthFrame.from_dict(ours["frame"])
+        lines, of_lines = _lines_of(features, own_frame, document.get("crs"))
         features = [feature for feature in features if lines is None or not _is_line(feature)]
     positions, properties, notes = _points(features)
     positions, of_system = _in_wgs84(document.get("crs"), positions)
-    notes += of_system
+    notes = (*notes, *of_system, *of_lines)
     if isinstance(ours, dict) and isinstance(ours.get("frame"), dict):
         own_frame = EarthFrame.from_dict(ours["frame"])
         if {"east_m", "north_m"} <= set(properties[0] if properties else ()):

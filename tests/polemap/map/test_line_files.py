@@ -11,6 +11,7 @@ import numpy as np
 import pyogrio
 import pytest
 import shapely
+from pyproj import Transformer
 
 from polemap.drivelog.errors import InputError, OutputError
 from polemap.drivelog.frames import EarthFrame
@@ -192,3 +193,30 @@ def test_lines_of_a_city_are_not_left_out_without_a_word(tmp_path: Path) -> None
         city = open_city(tmp_path / f"{name}.gpkg")
         assert city is not None
         assert any("lines are not used" in note for note in city.notes) == told
+
+
+def test_lines_in_another_system_and_moved_by_hand(tmp_path: Path) -> None:
+    """A GIS writes GeoJSON in its own system, and moves vertices without their grid_m."""
+    made = _map(UTM, PLACE)
+    assert made.lines is not None
+    path = tmp_path / "m.geojson"
+    write_map(made, path)
+    document = json.loads(path.read_text())
+    move = Transformer.from_crs(4326, 3857, always_xy=True).transform
+    for feature in document["features"]:
+        geometry = feature["geometry"]
+        is_line = geometry["type"] == "LineString"
+        geometry["coordinates"] = (
+            [list(move(*point)) for point in geometry["coordinates"]]
+            if is_line
+            else move(*geometry["coordinates"])
+        )
+    document["crs"] = {"type": "name", "properties": {"name": "EPSG:3857"}}
+    path.write_text(json.dumps(document))
+    again = read_map(path)
+    assert again.lines is not None
+    np.testing.assert_allclose(again.lines.vertices_m, made.lines.vertices_m, atol=0.001)
+    assert not any("moved by hand" in note for note in again.notes)
+    document["features"][1]["geometry"]["coordinates"][0][0] += 5.0
+    path.write_text(json.dumps(document))
+    assert any(note.startswith("1 lines do not run through") for note in read_map(path).notes)

@@ -18,8 +18,12 @@ import pytest
 from polemap.build.map_diff import match_points
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import geographic_from_grid
+from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle
 from polemap.map.formats import opendrive
 from polemap.map.io import export_map, read_map, write_map
+from polemap.map.line_map import LineMap
+from polemap.map.pole_map import KIND_COLUMN
+from polemap.vehicle.pose import rotate
 from tests.polemap.map.test_map_io import LOCAL, make_map
 
 # ---- OpenStreetMap PBF
@@ -207,11 +211,21 @@ STRUCTURE: dict[str, tuple[dict[str, Check], list[str]]] = {
     "object": (
         {
             "id*": any_text, "s*": not_negative, "t*": number, "zOffset*": number,
-            "name": any_text, "type": one_of("pole"), "hdg": number, "pitch": number,
+            "name": any_text, "type": one_of("pole", "building", "roadMark", "none"),
+            "subtype": any_text, "hdg": number, "pitch": number,
             "roll": number, "orientation": one_of("+", "-", "none"),
             "dynamic": one_of("yes", "no"), "radius": positive, "height": not_negative,
         },
-        ["userData"],
+        ["outlines", "userData"],
+    ),
+    "outlines": ({}, ["outline*"]),
+    "outline": (
+        {"id": not_negative, "closed": one_of("true", "false"), "outer": one_of("true", "false")},
+        ["cornerRoad*"],
+    ),
+    "cornerRoad": (
+        {"id": not_negative, "s*": not_negative, "t*": number, "dz*": number, "height*": number},
+        [],
     ),
     "userData": ({"code*": any_text, "value": any_text}, []),
 }  # fmt: skip
@@ -253,6 +267,39 @@ def test_opendrive_has_the_structure_of_the_standard(frame: object) -> None:
     assert len(set(ids)) == len(pole_map)
     length = float(root.find("road").get("length"))  # type: ignore[union-attr, arg-type]
     assert all(float(entry.get("s", "nan")) <= length for entry in root.iter("object"))
+
+
+def test_opendrive_holds_corners_and_lines_where_they_are() -> None:
+    points = make_map(n=3)
+    kinds = np.array([LandmarkKind.POLE, LandmarkKind.CORNER, LandmarkKind.CORNER], dtype=np.int8)
+    vertices = points.points_m.mean(axis=0) + np.array([[-900.0, 3.0], [0.0, 4.0], [900.0, 3.0]])
+    lines = LineMap(
+        frame=points.frame, vertices_m=np.concatenate([vertices, vertices + 5.0]),
+        vertex_sd_m=np.full(6, 0.1), ids=np.array([0, 1]), count=np.array([3, 3]),
+        kind=np.array([LandmarkKind.LANE_MARKING, LandmarkKind.KERB], dtype=np.int8),
+        style=np.array([LineStyle.DASHED, LineStyle.UNKNOWN], dtype=np.int8),
+        observations=np.array([9, 9]), drives=np.array([1, 1]), existence=np.array([0.9, 0.8]),
+    )  # fmt: skip
+    pole_map = replace(points, lines=lines, extra={KIND_COLUMN: kinds})
+    root = ElementTree.fromstring(opendrive.to_xml(pole_map))
+    assert faults(root) == []
+    objects = list(root.iter("object"))
+    assert len({entry.get("id") for entry in objects}) == 5
+    assert [entry.get("type") for entry in objects] == [
+        "pole", "building", "building", "roadMark", "none"
+    ]  # fmt: skip
+    assert objects[4].get("subtype") == "kerb"
+    geometry = next(root.iter("geometry"))
+    start = np.array([float(geometry.get(axis, "nan")) for axis in "xy"])
+    heading = float(geometry.get("hdg", "nan"))
+    corners = [
+        [float(corner.get(axis, "nan")) for axis in "st"]
+        for corner in objects[3].iter("cornerRoad")
+    ]
+    np.testing.assert_allclose(
+        rotate(np.array(corners), heading) + start, vertices, atol=2e-4, rtol=0.0
+    )
+    assert float(next(root.iter("road")).get("length", "nan")) >= corners[2][0]
 
 
 def test_the_structure_finds_faults() -> None:
