@@ -1,4 +1,4 @@
-"""Builds the four C++17 kernels where a compiler is found, and goes on without them elsewhere."""
+"""Builds the six C++17 kernels where a compiler is found, and goes on without them elsewhere."""
 
 from pathlib import Path
 
@@ -12,6 +12,8 @@ KERNELS = {
         "polemap.localize.particle_filter.native.assignment_kernel",
         "polemap.simulate.native.shading_kernel",
         "polemap.detect.native.pieces_kernel",
+        "polemap.detect.native.corners_kernel",
+        "polemap.detect.native.road_kernel",
     )
 }
 # Python's own flags bring -fwrapv, under which GCC 12 no longer vectorises the matcher's loops:

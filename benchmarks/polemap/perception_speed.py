@@ -41,7 +41,7 @@ _STAGES = (
     "measure_features",
     "refine_disparity", "visible_region", "_locate", "_suppress",
 )  # fmt: skip
-_KITTI = RECORDINGS / "kitti_odometry" / "sequences" / "03"
+KITTI = RECORDINGS / "kitti_odometry" / "sequences" / "03"
 _WORLDS = ("suburb", "avenue")
 _SEEDS = (511, 512)
 _BEGIN_S = 6.0  # the car has set off by then
@@ -56,14 +56,14 @@ def run() -> dict[str, dict[str, float]]:
     figures: dict[str, dict[str, float]] = {}
     for world in _WORLDS:
         frames = _FRAMES // len(_SEEDS)
-        figures |= _profile(world, [_simulated(world, seed, frames) for seed in _SEEDS])
-    path = Path(os.environ.get("POLEMAP_BENCH_DRIVE", str(_KITTI)))
+        figures |= _profile(world, [simulated(world, seed, frames) for seed in _SEEDS])
+    path = Path(os.environ.get("POLEMAP_BENCH_DRIVE", str(KITTI)))
     if path.exists():
-        figures |= _profile(f"kitti_{path.name}", [_recorded(path)])
+        figures |= _profile(f"kitti_{path.name}", [recorded(path)])
     return figures
 
 
-def _recorded(path: Path) -> tuple[StereoRig, Samples]:
+def recorded(path: Path) -> tuple[StereoRig, Samples]:
     drive = open_drive(path)
     stamps = drive.frame_stamps_s
     part = drive.between(stamps[0], stamps[min(_FRAMES, len(stamps) - 1)])
@@ -72,7 +72,7 @@ def _recorded(path: Path) -> tuple[StereoRig, Samples]:
     return drive.rig, list(samples_in_order(part))
 
 
-def _simulated(world_name: str, seed: int, frames: int) -> tuple[StereoRig, Samples]:
+def simulated(world_name: str, seed: int, frames: int) -> tuple[StereoRig, Samples]:
     street = open_street(world_name, seed, _RATE_HZ)
     odometry, studio = street.odometry, street.studio
     first = int(np.searchsorted(street.plan.frame_stamps_s, _BEGIN_S))

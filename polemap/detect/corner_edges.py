@@ -25,6 +25,7 @@ from polemap.detect.corner_constants import (
     EDGES_MAX,
 )
 from polemap.detect.ground import Ground
+from polemap.detect.kernels import kernel
 from polemap.drivelog.columns import Columns
 from polemap.stereo.depth_edges import DepthEdges
 from polemap.stereo.rig import StereoRig
@@ -92,18 +93,65 @@ def find_upright_edges(
 def _grouped(
     sides: tuple[DepthEdges, DepthEdges], rig: StereoRig, config: DetectionConfig
 ) -> UprightEdges:
-    """Lines through the depth edges that gather in a column and a disparity."""
-    focal_baseline = rig.focal_px * rig.baseline_m
-    low = 0.9 * focal_baseline / config.range_max_m
-    high = 1.2 * focal_baseline / config.range_min_m
+    """Lines through the depth edges that gather in a column and a disparity.
+
+    The C++ kernel does the work where it was built.
+    """
+    cells = _Cells.of(rig, config)
+    native = kernel("corners_kernel")
+    if native is None:
+        return plain_lines(sides, cells)
+    columns = [
+        (side.row_px, side.column_px, side.near_px, side.far_px, side.occluding) for side in sides
+    ]
+    free, found = native.upright_lines(*columns, cells.settings())
+    row, column, near, far, occluding, slope, sd, top, bottom, fill = found
+    return UprightEdges(
+        free=free, column_px=column, row_px=row, slope=slope, column_sd_px=sd, top_px=top,
+        bottom_px=bottom, disparity_px=np.maximum(near, 0.5), far_px=far, fill=fill,
+        occluding=occluding,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Cells:
+    """The grid of votes: disparities from `low` to `high` px, and how tall an edge is there."""
+
+    low: float
+    high: float
+    depth_cells: int
+    column_cells: int
+    baseline_m: float
+    row_step_px: int
+
+    @classmethod
+    def of(cls, rig: StereoRig, config: DetectionConfig) -> _Cells:
+        focal_baseline = rig.focal_px * rig.baseline_m
+        low = 0.9 * focal_baseline / config.range_max_m
+        high = 1.2 * focal_baseline / config.range_min_m
+        return cls(
+            low, high, int(np.log(high / low) / _SHARE) + 4, int(rig.width_px / _COLUMN_PX) + 4,
+            rig.baseline_m, config.row_step_px,
+        )  # fmt: skip
+
+    def settings(self) -> dict[str, float]:
+        """All that the kernel has to know."""
+        return {
+            "low": self.low, "high": self.high, "column_px": _COLUMN_PX, "share": _SHARE,
+            "height_min_m": EDGE_HEIGHT_MIN_M, "fill_min": EDGE_FILL_MIN,
+            "baseline_m": self.baseline_m, "column_cells": self.column_cells,
+            "depth_cells": self.depth_cells, "rows_min": EDGE_ROWS_MIN,
+            "row_step_px": self.row_step_px, "upright_px2": _UPRIGHT_PX2,
+        }  # fmt: skip
+
+
+def plain_lines(sides: tuple[DepthEdges, DepthEdges], cells: _Cells) -> UprightEdges:
+    """What the kernel does, in plain numpy: the tests' oracle."""
+    low, depth_cells, column_cells = cells.low, cells.depth_cells, cells.column_cells
     near = np.concatenate([side.near_px for side in sides])
-    inside = np.flatnonzero((near >= low) & (near <= high))
+    inside = np.flatnonzero((near >= low) & (near <= cells.high))
     column = np.concatenate([side.column_px for side in sides])
-    depth_cells = int(np.log(high / low) / _SHARE) + 4
-    column_cells = int(rig.width_px / _COLUMN_PX) + 4
-    depth = (np.log(near.take(inside) * np.float32(1.0 / low)) * np.float32(1.0 / _SHARE)).astype(
-        np.int64
-    ) + 1
+    depth = (np.log(near.take(inside).astype(np.float64) / low) / _SHARE).astype(np.int64) + 1
     # the right flanks' cells lie below those of the left flanks
     depth += depth_cells * (inside >= len(sides[0]))
     across = (column.take(inside) * np.float32(1.0 / _COLUMN_PX)).astype(np.int64) + 1
@@ -112,7 +160,7 @@ def _grouped(
     grid = counts.astype(np.float32).reshape(2 * depth_cells, column_cells)
     # as many rows as the least height has at a disparity, and no fewer than a line needs
     disparity = low * np.exp((np.arange(depth_cells) - 0.5) * _SHARE)
-    rows = EDGE_HEIGHT_MIN_M * disparity / (rig.baseline_m * config.row_step_px)
+    rows = EDGE_HEIGHT_MIN_M * disparity / (cells.baseline_m * cells.row_step_px)
     peaks = _peaks(grid, np.tile(np.maximum(EDGE_FILL_MIN * rows, EDGE_ROWS_MIN), 2))
     label = np.full(grid.size, -1, dtype=np.int64)
     number = np.arange(len(peaks))
@@ -127,7 +175,7 @@ def _grouped(
     for line, name in ((0, "row_px"), (3, "far_px"), (4, "occluding")):
         table[line] = np.concatenate([getattr(side, name) for side in sides]).take(at)
     free = np.where(peaks >= depth_cells * column_cells, 1.0, -1.0)
-    return _lines(table, group.take(mine), free, config.row_step_px)
+    return _lines(table, group.take(mine), free, cells.row_step_px)
 
 
 def _peaks(grid: NDArray[np.float32], least: Floats) -> Ints:

@@ -10,12 +10,14 @@ background.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.detect.corner_edges import UprightEdges
 from polemap.detect.ground import Ground
+from polemap.detect.kernels import kernel
 from polemap.stereo.depth_edges import UprightMaps
 from polemap.stereo.rig import StereoRig
 
@@ -32,6 +34,12 @@ _NEAR = slice(1, 5)
 _SWEEPS = 2
 _SLOPE_PRIOR = 0.02  # samples' worth of a pull towards an upright wall, of their spread
 _FREE_M = 0.5  # depth difference that counts as free
+_SHARED = 6.0
+_SETTINGS: dict[str, Any] = {
+    "rows": ROWS, "clear_px": CLEAR_PX, "highest_m": _HIGHEST_M, "free_m": _FREE_M,
+    "slope_prior": _SLOPE_PRIOR, "shared": _SHARED, "inward_m": INWARD_M.tolist(),
+    "outward_m": OUTWARD_M.tolist(), "above_m": _ABOVE_M.tolist(),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +81,34 @@ def sample_walls(
 ) -> Walls:
     """Fit the wall at every edge, and tell what each sample about it shows.
 
+    The C++ kernel does the work where it was built.
+
     Args:
         column_px: `(n,)` of the edge in its row `row_px`, sharpened.
     """
+    native = kernel("corners_kernel")
+    if native is None:
+        return plain_walls(edges, column_px, maps, ground, rig)
+    d = edges.disparity_px
+    table = np.stack([
+        column_px, edges.row_px, edges.slope, edges.top_px, edges.bottom_px, d, edges.free,
+        d / rig.baseline_m, ground.row_px(column_px, d),
+    ], axis=1)  # fmt: skip
+    settings = _SETTINGS | {
+        "row_step_px": maps.row_step_px, "height_px": maps.height_px,
+        "focal_baseline": rig.focal_px * rig.baseline_m,
+    }  # fmt: skip
+    values, on, nearer, seen, inside, free, beside, blank = native.walls(
+        table, maps.left, maps.right, settings
+    )
+    a, k, m, rms, sd, over = values
+    return Walls(a, k, m, rms, sd, on, nearer, seen, inside, free, beside, blank, over)
+
+
+def plain_walls(
+    edges: UprightEdges, column_px: Floats, maps: UprightMaps, ground: Ground, rig: StereoRig
+) -> Walls:
+    """`sample_walls` in plain numpy, the tests' oracle."""
     d = edges.disparity_px
     per_m = d / rig.baseline_m
     rows, inward, values = _sampled(edges, column_px, per_m, maps, ground)
@@ -122,9 +155,6 @@ def sample_walls(
             axis=(1, 2)
         ),
     )
-
-
-_SHARED = 6.0
 
 
 def _sampled(

@@ -11,7 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.detect.lines.road_frame import STEP_ASIDE_M, RoadView, ahead_m, left_m, mean_height
+from polemap.detect.kernels import kernel
+from polemap.detect.lines.road_frame import (
+    ASIDE_M,
+    LEAST_MATCHED,
+    STEP_ASIDE_M,
+    RoadView,
+    ahead_m,
+    left_m,
+    mean_height,
+)
 from polemap.stereo.depth_edges import UprightMaps
 
 Floats = NDArray[np.float64]
@@ -44,7 +53,52 @@ class KerbPoints:
 
 
 def kerb_points(view: RoadView, maps: UprightMaps) -> KerbPoints:
-    """Where rows of the grid step up, away from the camera."""
+    """Where rows of the grid step up, away from the camera.
+
+    The C++ kernel does the work where it was built.
+    """
+    row, side, step, level, place = _rises(view)
+    plane = np.column_stack([ahead_m(row.astype(np.float64)), place])
+    alone = ~_upright(view, maps, plane, 0.5 * step + level)
+    points = plane * (1.0 - level / view.frame.height_m)[:, np.newaxis]
+    return KerbPoints(
+        points[alone], step[alone].astype(np.float64), side[alone].astype(np.float64),
+        view.image_row[row[alone]] // maps.row_step_px,
+    )  # fmt: skip
+
+
+_Rises = tuple[NDArray[np.int64], Floats32, Floats32, Floats32, Floats]
+
+
+def _least_step_m(view: RoadView) -> Floats:
+    """By row of the grid: what stands out of the matcher's noise."""
+    noise = HEIGHT_SD_PX * view.frame.height_m / view.disparity_px
+    return np.maximum(STEP_MIN_M, NOISE_SDS * noise)
+
+
+def _rises(view: RoadView) -> _Rises:
+    native = kernel("road_kernel")
+    if native is None:
+        return plain_rises(view)
+    settings = {
+        "reach": _REACH, "step_max": STEP_MAX_M, "flat_m": _FLAT_M, "flat_share": _FLAT_SHARE,
+        "low_m": _LOW_M, "height_m": view.frame.height_m, "step_aside": STEP_ASIDE_M,
+        "aside": ASIDE_M, "blunt_m": _BLUNT_M, "least_matched": LEAST_MATCHED,
+    }  # fmt: skip
+    row, side, step, level, place = native.kerbs(
+        view.ground_m, view.height_m, view.matched, _least_step_m(view), settings
+    )
+    narrow = (values.astype(np.float32) for values in (side, step, level))
+    return row.astype(np.int64), *narrow, place
+
+
+def plain_rises(view: RoadView) -> _Rises:
+    """What the kernel does, in plain numpy: the tests' oracle.
+
+    Returns:
+        `(n,)` each: row of the grid, side, step and level (m), place left of the camera's foot on
+        the plane (m).
+    """
     mean = view.ground_m
     n = mean.shape[1]
     r = _REACH
@@ -53,8 +107,7 @@ def kerb_points(view: RoadView, maps: UprightMaps) -> KerbPoints:
     side = np.sign(left_m(np.arange(2 * r, n - 2 * r, dtype=np.float64))).astype(np.float32)
     step = rise * side
     # NaN where a side is not known: every comparison fails
-    noise = HEIGHT_SD_PX * view.frame.height_m / view.disparity_px
-    least = np.maximum(STEP_MIN_M, NOISE_SDS * noise)[:, np.newaxis]
+    least = _least_step_m(view)[:, np.newaxis]
     peak = (step >= least) & (step <= STEP_MAX_M)
     peak[:, 1:] &= step[:, 1:] >= step[:, :-1]
     peak[:, :-1] &= step[:, :-1] > step[:, 1:]
@@ -68,18 +121,17 @@ def kerb_points(view: RoadView, maps: UprightMaps) -> KerbPoints:
     good = (np.abs(beyond - high) < allowed) & (np.abs(low - before) < allowed)
     good &= np.abs(low) < _LOW_M
     row, column, s, step, level = (a[good] for a in (row, column, s, step, 0.5 * (low + high)))
-    return _locate(view, maps, row, column, s, step, level)
+    return _locate(view, row, column, s, step, level)
 
 
 def _locate(
     view: RoadView,
-    maps: UprightMaps,
     row: NDArray[np.int64],
     column: NDArray[np.int64],
     side: Floats32,
     step: Floats32,
     level: Floats32,
-) -> KerbPoints:
+) -> _Rises:
     """Where the profile passes half the step, at its own height.
 
     The kerb's face is upright, so that each of its heights has the place of its upper edge.
@@ -105,14 +157,7 @@ def _locate(
     with np.errstate(divide="ignore", invalid="ignore"):
         part = -one / (two - one)
     place = left_m(column + side * (reach[first] + part).astype(np.float64))
-    plane = np.column_stack([ahead_m(row.astype(np.float64)), place])[good]
-    row, side, step, level = row[good], side[good], step[good], level[good]
-    alone = ~_upright(view, maps, plane, 0.5 * step + level)
-    points = plane * (1.0 - level / view.frame.height_m)[:, np.newaxis]
-    return KerbPoints(
-        points[alone], step[alone].astype(np.float64), side[alone].astype(np.float64),
-        view.image_row[row[alone]] // maps.row_step_px,
-    )  # fmt: skip
+    return row[good], side[good], step[good], level[good], place[good]
 
 
 def _upright(

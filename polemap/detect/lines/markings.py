@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.detect.kernels import kernel
 from polemap.detect.lines.road_frame import (
+    ASIDE_M,
     COLUMNS,
     STEP_ASIDE_M,
     RoadView,
@@ -55,7 +57,10 @@ class MarkingPoints:
 
 
 def marking_points(view: RoadView) -> MarkingPoints:
-    """Rows of the grid that a bright stripe crosses."""
+    """Rows of the grid that a bright stripe crosses.
+
+    The C++ kernel does the work behind the filter where it was built.
+    """
     light = view.light
     sides = cv2.blur(light, (_SIDE_BOX, 1))
     answer = np.zeros_like(light)
@@ -66,6 +71,41 @@ def marking_points(view: RoadView) -> MarkingPoints:
         # bytes do not fall below 0
         ridge = cv2.subtract(mean[:, apart:-apart], beside)
         np.maximum(answer[:, apart:-apart], ridge, out=answer[:, apart:-apart])
+    row, level, width, place, contrast = _stripes(view, answer)
+    points = np.column_stack([ahead_m(row.astype(np.float64)), place])
+    points *= (1.0 - level / view.frame.height_m)[:, np.newaxis]
+    return MarkingPoints(points, width, contrast, view.image_row[row])
+
+
+_Stripes = tuple[NDArray[np.int64], Floats32, Floats, Floats, Floats]
+_SETTINGS = {
+    "reach": _REACH, "step_at": _STEP_AT, "least_levels": _LEAST_LEVELS,
+    "least_share": _LEAST_SHARE, "sides_share": _SIDES_SHARE, "scatter_share": _SCATTER_SHARE,
+    "rise_max": _RISE_MAX_M, "ground_m": _GROUND_M, "width_min": WIDTH_MIN_M,
+    "width_max": WIDTH_MAX_M, "step_aside": STEP_ASIDE_M, "aside": ASIDE_M,
+}  # fmt: skip
+
+
+def _stripes(view: RoadView, answer: NDArray[np.uint8]) -> _Stripes:
+    native = kernel("road_kernel")
+    if native is None:
+        return plain_stripes(view, answer)
+    row, level, width, place, contrast = native.stripes(
+        answer, view.light, view.inside, view.ground_m, _SETTINGS
+    )
+    return row.astype(np.int64), level.astype(np.float32), width, place, contrast
+
+
+def plain_stripes(view: RoadView, answer: NDArray[np.uint8]) -> _Stripes:
+    """What the kernel does, in plain numpy: the tests' oracle.
+
+    Args:
+        answer: `(ROWS, COLUMNS)` by how much each cell is brighter than the brighter side.
+
+    Returns:
+        `(n,)` each: row of the grid, level of the ground and width (m), place left of the camera's
+        foot on the plane (m), contrast in parts of the brighter side.
+    """
     middle = answer[:, 1:-1]
     peak = (middle >= _LEAST_LEVELS) & (middle >= answer[:, :-2]) & (middle > answer[:, 2:])
     peak &= view.inside[:, 1:-1]
@@ -85,7 +125,7 @@ def marking_points(view: RoadView) -> MarkingPoints:
 
 def _measure(
     view: RoadView, row: NDArray[np.int64], column: NDArray[np.int64], level: Floats32
-) -> MarkingPoints:
+) -> _Stripes:
     """Flanks of the stripes; those too thin, too wide or with unequal sides are left out."""
     reach = np.arange(-_REACH, _REACH + 1)
     profile = view.light[row[:, np.newaxis], column[:, np.newaxis] + reach].astype(np.float32)
@@ -116,9 +156,5 @@ def _measure(
     good &= contrast >= np.maximum(_LEAST_SHARE * brighter, _LEAST_LEVELS)
     row, level, width = row[good], level[good], width[good]
     place = left_m(column[good] + 0.5 * (left[good] - right[good]))
-    points = np.column_stack([ahead_m(row.astype(np.float64)), place])
-    points *= (1.0 - level / view.frame.height_m)[:, np.newaxis]
     share = contrast[good] / np.maximum(brighter[good], 1.0)
-    return MarkingPoints(
-        points, width.astype(np.float64), share.astype(np.float64), view.image_row[row]
-    )
+    return row, level, width.astype(np.float64), place, share.astype(np.float64)

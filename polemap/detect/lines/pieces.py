@@ -11,20 +11,13 @@ CACM 15(1), 1972; here in slope and offset, since lines along the road are never
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.detect.kernels import kernel
 from polemap.detect.lines.road_frame import ASIDE_M, FAR_M, NEAR_M, ROWS, STEP_AHEAD_M
-
-try:
-    pieces_kernel: Any = import_module("polemap.detect.native.pieces_kernel")
-    HAVE_KERNEL = True
-except ImportError:  # no compiler at install time: the plain way serves
-    HAVE_KERNEL = False
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -126,9 +119,10 @@ def straight_pieces(points_m: Floats, source_row: Ints, rules: PieceRules = PLAI
     """
     if len(points_m) < LEAST_ROWS:
         return []
-    if not HAVE_KERNEL:
+    native = kernel("pieces_kernel")
+    if native is None:
         return plain_pieces(points_m, source_row, rules)
-    found = pieces_kernel.straight_pieces(points_m, source_row, rules.settings())
+    found = native.straight_pieces(points_m, source_row, rules.settings())
     return [Piece(*values) for values in found]
 
 

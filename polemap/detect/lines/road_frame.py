@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.detect.ground import Ground
+from polemap.detect.kernels import kernel
 from polemap.drivelog.samples import Image
 from polemap.stereo.depth_edges import UprightMaps
 from polemap.stereo.rig import StereoRig
@@ -132,6 +133,44 @@ def view_road(image: Image, maps: UprightMaps, ground: Ground, rig: StereoRig) -
     thin = np.diag([1.0, 1.0 / maps.row_step_px, 1.0]) @ pixel_from_cell
     nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     disparity = cv2.warpPerspective(maps.left, thin, size, flags=nearest, borderValue=0)
+    inside, height, matched, expected, image_row = _heights(
+        disparity, pixel_from_cell, ground, frame, maps
+    )
+    return RoadView(
+        frame, light, inside, height, matched, mean_height(height, matched, GROUND_BOX), expected,
+        image_row,
+    )  # fmt: skip
+
+
+_Heights = tuple[NDArray[np.bool_], Floats32, Floats32, Floats, NDArray[np.int64]]
+
+
+def _heights(
+    disparity: Any, pixel_from_cell: Floats, ground: Ground, frame: RoadFrame, maps: UprightMaps
+) -> _Heights:
+    native = kernel("road_kernel")
+    if native is None:
+        return plain_heights(disparity, pixel_from_cell, ground, frame, maps)
+    plane = np.array([ground.offset, ground.per_column, ground.per_row])
+    size = frame.rig.width_px, frame.rig.height_px
+    found: _Heights = native.heights(
+        disparity, pixel_from_cell, plane, frame.height_m, maps.row_step_px, *size
+    )
+    return found
+
+
+def plain_heights(
+    disparity: Any, pixel_from_cell: Floats, ground: Ground, frame: RoadFrame, maps: UprightMaps
+) -> _Heights:
+    """What the kernel does, in plain numpy: the tests' oracle.
+
+    Args:
+        disparity: `(ROWS, COLUMNS)` of the cells, 0 for none.
+
+    Returns:
+        `inside`, `height_m`, `matched`, `disparity_px`, `image_row` of the `RoadView`.
+    """
+    rig = frame.rig
     # the axis to the left is level in the image: a row of the grid has one depth
     depth = pixel_from_cell[2, 1] * np.arange(ROWS) + pixel_from_cell[2, 2]
     along = np.multiply.outer(pixel_from_cell[:2, 1], np.arange(ROWS)) + pixel_from_cell[:2, 2:]
@@ -152,9 +191,9 @@ def view_road(image: Image, maps: UprightMaps, ground: Ground, rig: StereoRig) -
     matched = (disparity > 0.0).astype(np.float32)
     height = np.float32(frame.height_m) * (1.0 - expected / np.maximum(disparity, 0.1))
     height *= matched
-    return RoadView(
-        frame, light, inside, height, matched, mean_height(height, matched, GROUND_BOX),
-        expected[:, COLUMNS // 2].astype(np.float64), np.rint(middle).astype(np.int64),
+    return (
+        inside, height, matched, expected[:, COLUMNS // 2].astype(np.float64),
+        np.rint(middle).astype(np.int64),
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -42,7 +43,8 @@ def _ray(rig: StereoRig) -> tuple[np.ndarray, np.ndarray]:
     return np.array([mount.x_m, mount.y_m, mount.z_m]), camera @ mount.rotation().T
 
 
-def disparity_of(walls: list[Wall], rig: StereoRig, shift_m: float) -> np.ndarray:
+@cache  # seeds of one scene share it
+def disparity_of(walls: tuple[Wall, ...], rig: StereoRig, shift_m: float) -> np.ndarray:
     """Disparity `(h, w)` of road and walls, seen `shift_m` to the right of the left camera."""
     origin, ray = _ray(rig)
     origin = origin + np.array([0.0, -shift_m, 0.0])
@@ -62,10 +64,16 @@ def disparity_of(walls: list[Wall], rig: StereoRig, shift_m: float) -> np.ndarra
     return np.asarray(rig.focal_px * rig.baseline_m / depth)
 
 
-def see(walls: list[Wall], seed: int = 1, noise_px: float = 0.15) -> FrameView:
-    """The frame with the half-occluded bands of both views unmatched, noise, and grey pictures."""
-    rng = np.random.default_rng(seed)
-    left, right = (disparity_of(walls, RIG, shift) for shift in (0.0, RIG.baseline_m))
+def matched_maps(walls: list[Wall], seed: int = 1, noise_px: float = 0.15) -> DisparityPair:
+    """Noisy maps, the half-occluded bands of both views unmatched."""
+    return _matched(walls, np.random.default_rng(seed), noise_px)[0]
+
+
+def _matched(
+    walls: list[Wall], rng: np.random.Generator, noise_px: float
+) -> tuple[DisparityPair, np.ndarray]:
+    """The same, and the true left map."""
+    left, right = (disparity_of(tuple(walls), RIG, shift) for shift in (0.0, RIG.baseline_m))
     v, u = np.mgrid[0 : RIG.height_px, 0 : RIG.width_px]
 
     def checked(one: np.ndarray, other: np.ndarray, sign: float) -> np.ndarray:
@@ -75,7 +83,13 @@ def see(walls: list[Wall], seed: int = 1, noise_px: float = 0.15) -> FrameView:
         noisy = one + noise_px * rng.standard_normal(one.shape)
         return np.where(inside & (np.abs(back - one) <= 1.0), noisy, np.nan).astype(np.float32)
 
-    maps = DisparityPair(checked(left, right, -1.0), checked(right, left, 1.0))
+    return DisparityPair(checked(left, right, -1.0), checked(right, left, 1.0)), left
+
+
+def see(walls: list[Wall], seed: int = 1, noise_px: float = 0.15) -> FrameView:
+    """The frame with its maps, and grey pictures."""
+    rng = np.random.default_rng(seed)
+    maps, left = _matched(walls, rng, noise_px)
     grey = np.clip(60.0 + 3.0 * left + 4.0 * rng.standard_normal(left.shape), 0, 255)
     picture = grey.astype(np.uint8)
     return detect(StereoFrame(0.0, 0.0, 0, picture, picture), maps, RIG, None, CONFIG)
