@@ -12,6 +12,8 @@
 
 namespace assignment {
 
+constexpr double kAhead = kPi / 2 - 1e-6;
+
 // Where the sensor looks: bearings and ranges from its origin in the vehicle frame.
 struct View {
   double origin_x, origin_y, bearing_min, bearing_max, range_min;
@@ -73,17 +75,29 @@ class Weigher {
   void weigh(const double* poses, std::ptrdiff_t begin, std::ptrdiff_t end, const Output& out) {
     for (std::ptrdiff_t first = begin; first < end; first += kBlock) {
       const int count = static_cast<int>(std::min<std::ptrdiff_t>(kBlock, end - first));
-      for (int b = 0; b < kBlock; ++b) {
-        // a block that is not full repeats its last pose
+      // whole vectors; one that is not full repeats its last pose
+      lanes_ = std::min(kBlock, (count + kVector - 1) / kVector * kVector);
+      for (int b = 0; b < lanes_; ++b) {
         const double* pose = poses + 3 * (first + std::min(b, count - 1));
         block_.east[b] = pose[0];
         block_.north[b] = pose[1];
-        block_.cosine[b] = std::cos(pose[2]);
-        block_.sine[b] = std::sin(pose[2]);
+        block_.cosine[b] = b < count ? std::cos(pose[2]) : block_.cosine[b - 1];
+        block_.sine[b] = b < count ? std::sin(pose[2]) : block_.sine[b - 1];
       }
       look();
       pair_up();
-      for (int b = 0; b < count; ++b) settle(b, first + b, out);
+      const bool greedy = out.assignment == nullptr && choose();
+      for (int b = 0; b < count; ++b) {
+        if (!greedy || greedy_.clash[b] != 0) {
+          settle(b, first + b, out);
+          continue;
+        }
+        // every row has its best column to itself: no assignment is worth more
+        out.log_likelihood[first + b] = base_[b] - greedy_.cost[b];
+        out.log_fit[first + b] = greedy_.fit[b];
+        out.expected[first + b] = hoped_for_[b];
+        out.matched[first + b] = static_cast<std::int32_t>(greedy_.matched[b]);
+      }
     }
   }
 
@@ -97,27 +111,52 @@ class Weigher {
       std::fill(price_.begin(), price_.end(), 0.0);
       return;
     }
-    const double bins_per_rad = view.bins / (view.bearing_max - view.bearing_min);
-    const double nearest2 = view.range_min * view.range_min;
-    const double farthest2 = *std::max_element(free_range2_.begin(), free_range2_.end());
+    const Sight sight{view.bearing_min,
+                      view.bins / (view.bearing_max - view.bearing_min),
+                      view.range_min * view.range_min,
+                      *std::max_element(free_range2_.begin(), free_range2_.end()),
+                      free_range2_.data(),
+                      view.bins};
+    // a sector within less than a right angle to either side holds nothing behind the sensor
+    const bool forward = view.bearing_min > -kAhead && view.bearing_max < kAhead;
+    const double least_x = forward ? 0.0 : -kInfinity;
     for (int l = 0; l < q_.landmarks; ++l) {
-      sight_block(block_, q_.map_points[2 * l], q_.map_points[2 * l + 1], view.origin_x,
-                  view.origin_y, range2_, bearing_);
       double* price = &price_[static_cast<std::size_t>(l) * kBlock];
-      for (int b = 0; b < kBlock; ++b) {
-        price[b] = 0.0;
-        if (range2_[b] < nearest2 || range2_[b] > farthest2) continue;
-        const double column = (bearing_[b] - view.bearing_min) * bins_per_rad;
-        if (column < 0.0 || column >= view.bins ||
-            range2_[b] > free_range2_[static_cast<int>(column)])
-          continue;
-        // the edge of the range is no wall: a miss says less the nearer to it
-        const double fade = 1.0 - range2_[b] / farthest2;
-        price[b] = fade * log_miss_[l];
-        base_[b] += price[b];
-        hoped_for_[b] += fade * q_.detection[l];
+      if (!local_block(block_, lanes_, q_.map_points[2 * l], q_.map_points[2 * l + 1],
+                       view.origin_x, view.origin_y, sight.nearest2, sight.farthest2, least_x,
+                       ahead_, left_, range2_)) {
+        std::fill(price, price + kBlock, 0.0);
+        continue;
       }
+      bearing_block(lanes_, ahead_, left_, bearing_);
+      price_block(sight, lanes_, log_miss_[l], q_.detection[l], range2_, bearing_, price, hope_);
+      add_block(lanes_, price, base_);
+      add_block(lanes_, hope_, hoped_for_);
     }
+  }
+
+  // Gives every row of every pose its best column; false where there are too many columns to tell
+  // whether two rows want the same.
+  bool choose() {
+    bit_of_column_.assign(q_.landmarks, 0);
+    int columns = 0;
+    for (const Edge& pair : pairs_) {
+      std::uint64_t& bit = bit_of_column_[pair.column];
+      if (bit != 0) continue;
+      if (columns == 64) return false;
+      bit = std::uint64_t{1} << columns++;
+    }
+    greedy_ = Greedy{};
+    for (std::size_t p = 0; p < pairs_.size();) {
+      best_ = Best{};
+      for (const int row = pairs_[p].row; p < pairs_.size() && pairs_[p].row == row; ++p) {
+        const int column = pairs_[p].column;
+        offer_block(lanes_, &gain_[p * kBlock], &price_[static_cast<std::size_t>(column) * kBlock],
+                    &fit_[p * kBlock], bit_of_column_[column], &best_);
+      }
+      take_block(lanes_, best_, &greedy_);
+    }
+    return true;
   }
 
   // Lists the pairs that stand near enough for any pose of the block, and values them for all.
@@ -126,10 +165,10 @@ class Weigher {
     for (int z = 0; z < q_.poles; ++z) {
       double* x = &pole_x_[static_cast<std::size_t>(z) * kBlock];
       double* y = &pole_y_[static_cast<std::size_t>(z) * kBlock];
-      place_block(block_, q_.points[2 * z], q_.points[2 * z + 1], x, y);
+      place_block(block_, lanes_, q_.points[2 * z], q_.points[2 * z + 1], x, y);
       if (radius_[z] < 0.0) continue;
-      const auto span_x = std::minmax_element(x, x + kBlock);
-      const auto span_y = std::minmax_element(y, y + kBlock);
+      const auto span_x = std::minmax_element(x, x + lanes_);
+      const auto span_y = std::minmax_element(y, y + lanes_);
       const double west = *span_x.first - radius_[z], east = *span_x.second + radius_[z];
       const double south = *span_y.first - radius_[z], north = *span_y.second + radius_[z];
       for (int l = 0; l < q_.landmarks; ++l) {
@@ -141,7 +180,7 @@ class Weigher {
           gain_.resize(offset + kBlock);
           fit_.resize(offset + kBlock);
         }
-        pair_block(block_, pair_of(z, l), x, y, &gain_[offset], &fit_[offset]);
+        pair_block(block_, lanes_, pair_of(z, l), x, y, &gain_[offset], &fit_[offset]);
       }
     }
   }
@@ -192,8 +231,12 @@ class Weigher {
   std::vector<Edge> pairs_, edges_;
   std::vector<double> fit_of_edge_;
   Assigner assigner_;
+  std::vector<std::uint64_t> bit_of_column_;
+  int lanes_ = kBlock;
   Block block_;
-  Lane range2_, bearing_, base_, hoped_for_;
+  Best best_;
+  Greedy greedy_;
+  Lane ahead_, left_, range2_, bearing_, hope_, base_, hoped_for_;
   double log_scale_ = 0.0;
 };
 
