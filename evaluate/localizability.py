@@ -1,12 +1,14 @@
-"""How well the poles in view would locate a car, before anyone drives there.
+"""How well the landmarks in view would locate a car, before anyone drives there.
 
-At each pose the Fisher information of the poles that could be seen is
+At each pose the Fisher information of the poles and corners that could be seen is
 
     J = J_0 + sum_i  w_i H_i^T (S_i + P_i)^-1 H_i,      H_i = d h_i / d (longitudinal, lateral, yaw)
 
 with `h` the pole in the vehicle frame, `S` the detector's and `P` the map's covariance, `w` the
-probability that the pole stands and is seen, and `J_0` what was known before. `J^-1` bounds the
-covariance of a pose from a single look (Cramer-Rao); a filter with odometry does better.
+probability that the pole stands and is seen, and `J_0` what was known before. A line beside the car
+adds the same of its offset and of its direction (`line_information.py`), which say nothing along
+it. `J^-1` bounds the covariance of a pose from a single look (Cramer-Rao); a filter with odometry
+does better.
 
 Source: the likelihood is that of Spangenberg (2016), equations (7) and (8); the bound is its
 curvature.
@@ -14,7 +16,8 @@ curvature.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -25,6 +28,9 @@ from polemap.detect.constants import ACROSS_SD_M, AXIS_SD_SHARE, COLUMN_SD_PX, D
 from polemap.detect.visibility import camera_sector
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_view
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind
+from polemap.evaluation.line_information import LineSds, line_information, stated_sds
+from polemap.localize.particle_filter.corner_sides import CORNER_DETECTION
 from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import inverse_transform_points, rotate_covariance
 
@@ -34,6 +40,11 @@ Floats = NDArray[np.float64]
 _WEAK = 1e-6
 # of a pole: the share of its width by which its axis is uncertain is an error of the range
 _WIDTH_M = 0.2
+HELD_SD_M = 0.5
+"""A kind that allows this much in one look holds the pose."""
+PLACE_SD_M, HEADING_SD_RAD = 5.0, 0.02
+"""Of place and heading before the look, where one kind is asked for alone: as odometry keeps them.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +52,8 @@ class SensorModel:
     """Where a sensor sees poles, how surely and how well.
 
     The variance of a detection at range r is `along_m`^2 + (`along_per_m2` r^2)^2 along its ray and
-    `across_m`^2 + (`across_rad` r)^2 across it.
+    `across_m`^2 + (`across_rad` r)^2 across it. `line_sd` holds by kind what the pieces of lines
+    state, across (m) and of their direction (rad).
     """
 
     view: VisibleRegion
@@ -50,6 +62,7 @@ class SensorModel:
     along_per_m2: float
     across_m: float
     across_rad: float
+    line_sd: LineSds = field(default_factory=dict)
 
     def covariance(self, points_vehicle_m: Floats) -> Floats:
         """Covariance `(n, 2, 2)` of detections at `(n, 2)`, in the axes of the vehicle."""
@@ -104,10 +117,26 @@ def drive_sensor(drive: Drive, config: DetectionConfig, p_detection: float) -> S
     Its camera where the poles come from images, else what the poles beside it state.
     """
     rig = drive.rig
+    sensor = scans_sensor(drive.scans, p_detection)
     if rig is not None and (drive.has_frames or not drive.scans):
         view = camera_sector(rig, config)
-        return camera_sensor(view, rig.focal_px, rig.baseline_m, p_detection)
-    return scans_sensor(drive.scans, p_detection)
+        sensor = camera_sensor(view, rig.focal_px, rig.baseline_m, p_detection)
+    return None if sensor is None else replace(sensor, line_sd=stated_sds(drive.scans))
+
+
+@dataclass(frozen=True, slots=True)
+class KindBound:
+    """What one kind of landmarks allows alone, `(n,)` each, place and heading being known to
+    `PLACE_SD_M` and `HEADING_SD_RAD` before.
+
+    Attributes:
+        expected: number of detections (of lines: of lines, not pieces).
+        lateral_sd_m, longitudinal_sd_m: of one look.
+    """
+
+    expected: Floats
+    lateral_sd_m: Floats
+    longitudinal_sd_m: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +148,7 @@ class Localizability:
         distance_m: along the line through the poses, from the first.
         poles_in_view: expected number of detections, existence and detection included.
         lateral_sd_m, longitudinal_sd_m, yaw_sd_rad: of one look.
+        by_kind: of every kind that the map holds.
     """
 
     poses: Floats
@@ -127,6 +157,12 @@ class Localizability:
     lateral_sd_m: Floats
     longitudinal_sd_m: Floats
     yaw_sd_rad: Floats
+    by_kind: Mapping[LandmarkKind, KindBound] = field(default_factory=dict)
+
+    def holding(self, kind: LandmarkKind) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Where `(n,)` a kind alone holds the pose aside, and along the street."""
+        one = self.by_kind[kind]
+        return one.lateral_sd_m <= HELD_SD_M, one.longitudinal_sd_m <= HELD_SD_M
 
 
 def localizability(
@@ -151,21 +187,66 @@ def localizability(
     if step_m > 0.0:
         _, rows = np.unique(np.floor(distance / step_m), return_index=True)
         poses, distance = poses[rows], distance[rows]
-    information = np.zeros((len(poses), 3, 3))
-    expected = np.zeros(len(poses))
+    kinds = map_kinds(pole_map)
+    information = {kind: np.zeros((len(poses), 3, 3)) for kind in kinds}
+    expected = {kind: np.zeros(len(poses)) for kind in kinds}
     for row, pose in enumerate(poses):
         seen = pole_map.in_view(pose, sensor.view)
-        if not len(seen):
-            continue
-        weight = sensor.p_detection * pole_map.existence[seen]
-        information[row] = _information(pole_map, seen, pose, weight, sensor)
-        expected[row] = weight.sum()
-    position_sd_m, yaw_sd_rad = prior_sd
+        for kind in POINT_KINDS.intersection(kinds):
+            mine = seen[pole_map.kind[seen] == kind]
+            if not len(mine):
+                continue
+            weight = sensor.p_detection * pole_map.existence[mine]
+            weight = weight * (CORNER_DETECTION if kind == LandmarkKind.CORNER else 1.0)
+            information[kind][row] = _information(pole_map, mine, pose, weight, sensor)
+            expected[kind][row] = weight.sum()
+        if pole_map.lines is not None:
+            for kind, told in line_information(pole_map.lines, pose, sensor.line_sd).items():
+                information[kind][row], expected[kind][row] = told
+    total = np.sum([*information.values(), np.zeros((len(poses), 3, 3))], axis=0)
+    sd = _bounds(total, *prior_sd)
+    by_kind = {}
+    for kind in kinds:
+        alone = _bounds(information[kind], PLACE_SD_M, HEADING_SD_RAD)
+        by_kind[kind] = KindBound(expected[kind], alone[:, 1], alone[:, 0])
+    poles = expected.get(LandmarkKind.POLE, np.zeros(len(poses)))
+    return Localizability(poses, distance, poles, sd[:, 1], sd[:, 0], sd[:, 2], by_kind)
+
+
+def map_kinds(pole_map: PoleMap) -> list[LandmarkKind]:
+    """Kinds of landmarks that a map holds, in the order of their numbers."""
+    held = set(pole_map.kind.tolist())
+    if pole_map.lines is not None:
+        held.update(pole_map.lines.kind.tolist())
+    return sorted(kind for kind in LandmarkKind if kind in held)
+
+
+def held_shares(parts: Sequence[Localizability]) -> list[tuple[str, float, float]]:
+    """Of each kind the shares of the poses that it alone holds aside and along, and last of
+    those that none does."""
+    kinds = sorted({kind for part in parts for kind in part.by_kind})
+    count = sum(len(part.poses) for part in parts)
+    free = [np.ones((2, len(part.poses)), dtype=np.bool_) for part in parts]
+    rows = []
+    for kind in kinds:
+        total = np.zeros(2)
+        for part, left in zip(parts, free, strict=True):
+            if kind in part.by_kind:
+                held = np.array(part.holding(kind))
+                left &= ~held
+                total += held.sum(axis=1)
+        name = kind.name.lower().replace("_", " ")
+        rows.append((name, *(total / max(count, 1)).tolist()))
+    none = np.sum([left.sum(axis=1) for left in free], axis=0) / max(count, 1)
+    return [*rows, ("none", *none.tolist())]
+
+
+def _bounds(information: Floats, position_sd_m: float, yaw_sd_rad: float) -> Floats:
+    """Deviations `(n, 3)` along, aside and of the yaw; infinite where nothing tells."""
     prior = np.array([position_sd_m, position_sd_m, yaw_sd_rad]) ** -2.0
     bound = np.linalg.inv(information + np.diag(np.maximum(prior, _WEAK)))
     sd = np.sqrt(np.diagonal(bound, axis1=1, axis2=2))
-    sd = np.where(sd < 0.5 / np.sqrt(_WEAK), sd, np.inf)
-    return Localizability(poses, distance, expected, sd[:, 1], sd[:, 0], sd[:, 2])
+    return np.where(sd < 0.5 / np.sqrt(_WEAK), sd, np.inf)
 
 
 def _information(

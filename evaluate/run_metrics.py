@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import inf, isfinite
+from math import inf, isfinite, nan, sqrt
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.drive import Drive
+from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind
 from polemap.evaluation.errors import accuracy, first_on_poles_s
+from polemap.localize.particle_filter.estimate import KindHealth
 from polemap.localize.particle_filter.health import RestartCause
 from polemap.localize.pose_queue import PoseUpdate
 from polemap.localize.replay import Run
+from polemap.map.city.city_map import CityMap
+from polemap.map.pole_map import PoleMap
 from polemap.vehicle.pose import rotate_back
 from polemap.vehicle.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 
 
-def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
+def run_metrics(
+    run: Run, drive: Drive, pole_map: PoleMap | CityMap | None = None
+) -> dict[str, Any]:
     """Counts, latency, smoothness, accuracy where the drive has a reference, and timings.
 
     Args:
         run: a replay of the drive.
         drive: the drive, with its reference.
+        pole_map: what it was localized in, for the landmarks that it holds.
     """
     counts = dict(run.counts)
     on_poles_s = first_on_poles_s(run.kf.stamp_s, run.output[:, 3]) if len(run.output) else None
@@ -47,6 +54,7 @@ def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
         "input_problems": dict(drive.problems),
         "updates": len(run.updates),
         "output_poses": len(run.kf),
+        "landmarks_by_kind": landmarks_by_kind(run.updates, counts, pole_map),
         "on_poles_from_s": on_poles_s,
         "latency_s": _latency(run.updates),
         "jump_max_m": float(run.output[:, 2].max()) if len(run.output) else 0.0,
@@ -68,6 +76,49 @@ def run_metrics(run: Run, drive: Drive) -> dict[str, Any]:
         result["timing_ms"] = timing_summary(run.timings_s)
         result["replay_s"] = run.replay_s
     return result
+
+
+def landmarks_by_kind(
+    updates: Sequence[PoseUpdate],
+    counts: Mapping[str, int],
+    pole_map: PoleMap | CityMap | None = None,
+) -> dict[str, dict[str, Any]]:
+    """What the scans have shown of every kind of landmarks that the map holds.
+
+    `in_map` (not known of a city's map), `seen`, `matched` (of lines: pieces), `suspensions`,
+    `suspended_share` of the updates, and `residual_rms_m` from where the map has those that match,
+    across lines.
+    """
+    rows: dict[int, list[KindHealth]] = {}
+    for update in updates:
+        for one in update.estimate.health.by_kind:
+            rows.setdefault(one.kind, []).append(one)
+    result: dict[str, dict[str, Any]] = {}
+    for kind, found in sorted(rows.items()):
+        name = LandmarkKind(kind).name.lower()
+        matched = sum(one.matched for one in found)
+        squared_m2 = sum(one.squared_m2 for one in found)
+        counted = "corners_suspended" if kind in POINT_KINDS else f"lines_suspended_{name}"
+        held = (
+            {}
+            if pole_map is None or isinstance(pole_map, CityMap)
+            else {"in_map": _mapped(pole_map, kind)}
+        )
+        result[name] = {
+            **held,
+            "seen": sum(one.seen for one in found),
+            "matched": matched,
+            "suspensions": 0 if kind == LandmarkKind.POLE else counts.get(f"pf_{counted}", 0),
+            "suspended_share": sum(one.suspended for one in found) / max(len(updates), 1),
+            "residual_rms_m": sqrt(squared_m2 / matched) if matched else nan,
+        }
+    return result
+
+
+def _mapped(pole_map: PoleMap, kind: int) -> int:
+    lines = pole_map.lines
+    kinds = pole_map.kind if kind in POINT_KINDS or lines is None else lines.kind
+    return int(np.count_nonzero(kinds == kind))
 
 
 def smoothness(stamps_s: Floats, poses: Floats) -> dict[str, float]:

@@ -13,8 +13,9 @@ import yaml
 from numpy.typing import NDArray
 
 from polemap.drivelog.atomic import atomic_file
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.drivelog.tum import shortest, write_tum
-from polemap.localize.particle_filter.estimate import LineHealth
+from polemap.localize.particle_filter.estimate import HealthRecord, KindHealth, LineHealth
 from polemap.localize.replay import Run
 from polemap.parsing.json_text import plain_values
 
@@ -28,6 +29,8 @@ HEALTH_COLUMNS = (
 )  # fmt: skip
 # of runs in a map that holds lines
 LINE_COLUMNS = ("lines_matched", "lines_seen", "lines_suspended")
+# of runs in a map that holds corners, which `matched` and `seen` count, too
+CORNER_COLUMNS = ("corners_matched", "corners_seen", "corners_suspended")
 OUTPUT_COLUMNS = (
     "stamp_s", "speed_mps", "yaw_rate_radps", "var_east_m2", "var_north_m2", "cov_east_north_m2",
     "var_yaw_rad2", "pose_age_s", "jump_m", "flag", "healthy", "distrust", "east_m", "north_m",
@@ -75,7 +78,9 @@ def write_metrics(path: Path, metrics: Mapping[str, Any]) -> None:
 def _write_health(path: Path, run: Run) -> None:
     with atomic_file(path) as part, part.open("w", encoding="utf-8") as file:
         with_lines = any(update.estimate.health.lines is not None for update in run.updates)
+        with_corners = any(_of_corners(update.estimate.health) for update in run.updates)
         columns = (*HEALTH_COLUMNS, *(LINE_COLUMNS if with_lines else ()))
+        columns = (*columns, *(CORNER_COLUMNS if with_corners else ()))
         file.write(",".join(columns) + "\n")
         for update in sorted(run.updates, key=lambda update: update.estimate.stamp_s):
             estimate, health = update.estimate, update.estimate.health
@@ -90,7 +95,15 @@ def _write_health(path: Path, run: Run) -> None:
             if with_lines:
                 lines = health.lines or LineHealth()
                 row = (*row, lines.matched, lines.seen, " ".join(lines.suspended))
+            if with_corners:
+                found = _of_corners(health)
+                corners = (found.matched, found.seen, found.suspended) if found else (0, 0, False)
+                row = (*row, *map(int, corners))
             file.write(",".join(map(_cell, row)) + "\n")
+
+
+def _of_corners(health: HealthRecord) -> KindHealth | None:
+    return next((one for one in health.by_kind if one.kind == LandmarkKind.CORNER), None)
 
 
 def _write_timing(path: Path, run: Run, perception_s: Mapping[str, Mapping[float, float]]) -> None:

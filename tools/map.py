@@ -13,6 +13,8 @@ from polemap.build.city.io import clear
 from polemap.drivelog.atomic import check_files, check_folder, reserved
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.evaluation.localizability import held_shares
 from polemap.map.io import check_writable, read_map, write_map
 from polemap.map.pole_map import PoleMap
 from polemap.settings import Settings, load_settings
@@ -231,6 +233,9 @@ def _show(
     if picture is None and layer is None:
         return
     routes = [route_localizability(pole_map, drive, settings) for drive in drives]
+    if any(kind != LandmarkKind.POLE for route in routes for kind in route.by_kind):
+        for kind, aside, along in held_shares(routes):
+            typer.echo(f"held by {kind}: aside {aside:.0%}, along {along:.0%} of the routes")
     if layer is not None:
         write_localizability(routes, pole_map.frame, layer)
     if picture is not None:

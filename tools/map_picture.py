@@ -80,12 +80,18 @@ def write_localizability(parts: list[Localizability], frame: EarthFrame, path: P
     for part in parts:
         points = part.poses[:, :2]
         place = geographic_from_grid(frame, points)[:, ::-1] if frame.is_utm else points
+        holders = _holders(part)
         for row in range(len(points)):
             values = {
                 "lateral_sd_m": part.lateral_sd_m[row],
                 "longitudinal_sd_m": part.longitudinal_sd_m[row],
                 "yaw_sd_rad": part.yaw_sd_rad[row],
                 "poles_in_view": part.poles_in_view[row],
+                **{
+                    f"{kind.name.lower()}s_in_view": one.expected[row]
+                    for kind, one in part.by_kind.items()
+                    if kind != LandmarkKind.POLE
+                },
                 "east_m": points[row, 0],
                 "north_m": points[row, 1],
             }
@@ -93,7 +99,10 @@ def write_localizability(parts: list[Localizability], frame: EarthFrame, path: P
                 {
                     "type": "Feature",
                     "geometry": {"type": "Point", "coordinates": np.round(place[row], 9).tolist()},
-                    "properties": {k: _finite(float(v)) for k, v in values.items()},
+                    "properties": {
+                        **{k: _finite(float(v)) for k, v in values.items()},
+                        **{name: held[row] for name, held in holders.items()},
+                    },
                 }
             )
     document: dict[str, Any] = {
@@ -103,6 +112,18 @@ def write_localizability(parts: list[Localizability], frame: EarthFrame, path: P
     }
     with atomic_file(path) as target:
         target.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+
+
+def _holders(part: Localizability) -> dict[str, list[str]]:
+    """Names of the kinds that alone hold each pose, aside and along the street."""
+    held = {kind.name.lower(): part.holding(kind) for kind in part.by_kind}
+    return {
+        f"{name}_held_by": [
+            " ".join(kind for kind, both in held.items() if both[axis][row])
+            for row in range(len(part.poses))
+        ]
+        for axis, name in enumerate(("lateral", "longitudinal"))
+    }
 
 
 def _finite(value: float) -> float | None:

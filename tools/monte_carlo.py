@@ -73,7 +73,7 @@ class Replay:
                 progress=advance,
             )
         found(run)
-        metrics = run_metrics(run, drive)
+        metrics = run_metrics(run, drive, self.pole_map)
         metrics["verdict"] = judge(run, drive, self.pole_map, self.settings.localize.gnss)
         spent = detected.total_s()
         metrics["timing_ms"] = {**timing_summary(spent), **metrics["timing_ms"]}

@@ -90,12 +90,16 @@ class Street:
         lines: none where empty.
         corner_spacing_m: mean way from one corner to the next; None for none.
         repaint: of the markings.
+        corners_moved_m: houses stand so far left of where the map has them, on all of the street.
+        corners_elsewhere: the map's corners are those of another street.
     """
 
     no_poles_m: tuple[float, float] = (np.inf, np.inf)
     lines: tuple[RoadLine, ...] = TWO_LANES
     corner_spacing_m: float | None = None
     repaint: Repaint | None = None
+    corners_moved_m: float = 0.0
+    corners_elsewhere: bool = False
     errors: LineErrors = field(default_factory=LineErrors)
 
 
@@ -303,6 +307,7 @@ def _with_corners(
                 both, stamp_s=scan.stamp_s, arrival_s=scan.arrival_s, view=scan.view
             )
         )
+    points = _mapped_corners(street, points, states, rng)
     plain = Poles(points, np.full(n, np.nan), np.ones(n)).surveyed(
         scenario.frame, scenario.map_sd_m, rng
     )
@@ -311,3 +316,21 @@ def _with_corners(
         "facing_rad": np.asarray(facing),
     }
     return tuple(joined), replace(plain, ids=plain.ids + 100_000, extra=extra)
+
+
+def _mapped_corners(
+    street: Street, points: Floats, states: Floats, rng: np.random.Generator
+) -> Floats:
+    """Where the map has corners `(n, 2)`."""
+    if not len(points):
+        return points
+    if street.corners_elsewhere:
+        row = rng.integers(0, len(states), len(points))
+        left = rng.choice([-1.0, 1.0], len(points)) * rng.uniform(6.0, 12.0, len(points))
+        return states[row, :2] + left[:, None] * _left(states[row, 2])
+    nearest = np.hypot(*(points[:, None] - states[None, ::5, :2]).transpose(2, 0, 1)).argmin(1)
+    return points - street.corners_moved_m * _left(states[::5][nearest, 2])
+
+
+def _left(yaw_rad: Floats) -> Floats:
+    return np.stack([-np.sin(yaw_rad), np.cos(yaw_rad)], axis=1)

@@ -70,6 +70,15 @@ def _painted(name: str, **paint: Any) -> dict[str, Case]:
     }
 
 
+def _wrong_corners(name: str, **wrong: Any) -> dict[str, Case]:
+    """Corners that are not where the map has them, with poles and in a gap of them."""
+    street = replace(_BARE, **wrong)
+    return {
+        f"{name}, poles": Case(street, CORNERS, (100.0, np.inf)),
+        f"{name}, no poles": Case(replace(street, no_poles_m=_GAP), CORNERS, (200.0, 350.0)),
+    }
+
+
 CASES = {
     **_of(replace(_BARE, no_poles_m=_GAP), (200.0, 350.0), "gap of 200 m"),
     **_of(replace(_BARE, no_poles_m=_WHOLE), (200.0, np.inf), "no pole at all"),
@@ -79,6 +88,9 @@ CASES = {
     **_painted("moved 3 m", left_m=3.0),
     **_painted("doubled 0.7 m", left_m=0.7, doubled=True),
     **_painted("missing", missing=True),
+    **_wrong_corners("corners moved 1 m", corners_moved_m=1.0),
+    **_wrong_corners("corners moved 3 m", corners_moved_m=3.0),
+    **_wrong_corners("corners elsewhere", corners_elsewhere=True),
 }
 
 

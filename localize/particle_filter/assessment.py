@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind
 from polemap.drivelog.samples import OdometrySample
 from polemap.localize.calibration import OdometryCorrection
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.gnss.particle_weights import FixWeights
 from polemap.localize.odometry_history import OdometryHistory
+from polemap.localize.particle_filter.corner_trust import CornerTrust, without_corners
 from polemap.localize.particle_filter.detector_trust import DetectorTrust
 from polemap.localize.particle_filter.estimate import (
     Event,
     HealthRecord,
+    KindHealth,
     LineHealth,
     Mode,
     PfEstimate,
@@ -35,6 +38,7 @@ from polemap.localize.particle_filter.persistent_errors import PersistentErrors,
 from polemap.localize.particle_filter.pole_weigher import Match, PoleWeigher, independent_share
 from polemap.localize.particle_filter.recovery import Recovery, Step
 from polemap.localize.particle_filter.twins import TwinPoles
+from polemap.vehicle.pose import transform_points
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +56,7 @@ class Weighed:
         share: power that the scan's likelihood was raised to.
         before: `(3, 3)` covariance of the particles before that.
         last_pose, last_odometry_pose: of the last estimate.
+        left_out: corners that were seen and are not believed.
     """
 
     scan: Detections
@@ -63,6 +68,7 @@ class Weighed:
     before: Floats
     last_pose: Floats
     last_odometry_pose: Floats
+    left_out: int = 0
 
     @property
     def restarted(self) -> bool:
@@ -85,6 +91,8 @@ class Assessment:
         self._weigher, self._recovery, self._fixes = weigher, recovery, fixes
         self._odometry, self._twins, self._lines = odometry, twins, lines
         self._detector = DetectorTrust(config, counts)
+        self.corners = CornerTrust(counts)
+        self._point_kinds = sorted(int(kind) for kind in POINT_KINDS & config.chosen_kinds)
         self.persistent = PersistentErrors(config.poles.position_floor_m)
         # what the odometry's calibration learns by: without what is only suspected
         self.learned_spread: Floats = np.eye(3)
@@ -95,6 +103,16 @@ class Assessment:
     def add_course(self, odometry: OdometrySample, travelled_m: float) -> None:
         """Take in which way the car goes in the eyes of its detector; see `DetectorCourse`."""
         self._detector.check.course.add_step(odometry, travelled_m)
+
+    def believed_part(
+        self, scan: Detections, landmarks: Landmarks, particles: ParticleSet, share: float
+    ) -> tuple[Detections, Landmarks]:
+        """What of a scan and of the landmarks around may move the particles."""
+        pose, spread = particles.moments
+        floor_m, stated = self._config.poles.position_floor_m, self.persistent.covariance
+        if self.corners.believed(scan, landmarks, pose, spread, stated, share, floor_m):
+            return scan, landmarks
+        return without_corners(scan), landmarks.take(landmarks.kind != LandmarkKind.CORNER)
 
     def estimate(
         self, done: Weighed, history: OdometryHistory, correction: OdometryCorrection
@@ -107,9 +125,9 @@ class Assessment:
         spread, stated_m, lines = self._stated(done, fit, pose, spread, major)
         self._recovery.lost.add_match(
             scan.stamp_s,
-            fit.matched,
-            len(scan),
-            fit.expected,
+            fit.poles.matched,
+            len(fit.poles.assignment),
+            fit.poles.expected,
             float(np.sqrt(major * minor)),
             self._fixes.distance_sd(pose, spread),
             held=self._recovery.held(scan.stamp_s),
@@ -130,18 +148,20 @@ class Assessment:
             self._detector.place_proven(pose, done.step)
         limit_m = self._config.health.sd_max_m
         self._judge_lines(done, lines, minor, major, len(modes))
+        self._judge_corners(done, fit, narrow=narrow)
         settled = self._recovery.proof.proven and len(modes) == 1
-        known = major <= limit_m or (self._lines.hold and minor <= PROVEN_SD_M)
+        found = major <= limit_m and self.corners.found
+        known = found or (self._lines.hold and minor <= PROVEN_SD_M)
         usable = settled and known and self._recovery.lost.fits and not unmatched
-        usable = usable and not self._lines.trust.doubted
-        healthy = usable and major <= limit_m
+        usable = usable and not (self._lines.trust.doubted or self.corners.doubted)
+        healthy = usable and found
         healthy = healthy and not self._odometry.doubted and opinion != "contradicted"
         healthy &= self._detector.believed and not self._recovery.far_from_fixes
         healthy &= bool(np.hypot(stated_m, hint_m) <= limit_m)
         health = HealthRecord(
             stamp_s=scan.stamp_s,
             matched=fit.matched,
-            seen=len(scan),
+            seen=len(scan) + done.left_out,
             in_view=fit.in_view,
             n_eff=effective_count(particles.weights),
             position_sd_major_m=major,
@@ -156,6 +176,7 @@ class Assessment:
             yaw_rate_offset_radps=correction.yaw_rate_offset_radps,
             speed_scale=correction.speed_scale,
             lines=lines,
+            by_kind=self._by_kind(done, fit, pose, lines),
         )
         return PfEstimate(
             scan.stamp_s, scan.arrival_s, pose, spread, healthy, len(modes), health, done.event,
@@ -229,26 +250,77 @@ class Assessment:
                 one_place=one, seen=lines.seen, matched=lines.matched, moved_m=done.step.moved_m
             )
 
+    def _judge_corners(self, done: Weighed, fit: Match, *, narrow: bool) -> None:
+        """What corners say of the place, and poles of the corners."""
+        if fit.without_corners is None and not self.corners.suspended:
+            return
+        if done.restarted:
+            self.corners.forget()
+            return
+        rows = fit.assignment[fit.assignment >= 0]
+        ids, kinds = done.landmarks.ids[rows], done.landmarks.kind[rows]
+        corner = kinds == LandmarkKind.CORNER
+        self.corners.add_matched(
+            done.scan.stamp_s,
+            ids[~corner],
+            ids[corner],
+            independent_share(done.step.moved_m, done.step.elapsed_s, self._config.poles),
+            contradicted=self._recovery.strange.contradict,
+        )
+        if not (self.corners.suspended or self.corners.doubted):
+            self._recovery.proof.add_corners(
+                narrow=narrow,
+                seen=int(np.count_nonzero(done.scan.kind == LandmarkKind.CORNER)),
+                matched=int(np.count_nonzero(corner)),
+                moved_m=done.step.moved_m,
+            )
+
+    def _by_kind(
+        self, done: Weighed, fit: Match, pose: Floats, lines: LineHealth | None
+    ) -> tuple[KindHealth, ...]:
+        """What the scan has shown of every kind."""
+        scan, landmarks = done.scan, done.landmarks
+        mine = np.flatnonzero(fit.assignment >= 0)
+        seen_m = transform_points(pose, scan.points_vehicle_m.reshape(-1, 2)[mine])
+        offset = seen_m - landmarks.points_m[fit.assignment[mine]]
+        squared_m2 = (offset**2).sum(axis=1)
+        out = []
+        for kind in self._point_kinds:
+            rows, here = scan.kind[mine] == kind, scan.kind == kind
+            suspended = kind == LandmarkKind.CORNER and self.corners.suspended
+            seen = int(here.sum()) + (done.left_out if kind == LandmarkKind.CORNER else 0)
+            # a scan holds no kind that the whole map lacks
+            if seen or suspended or kind == LandmarkKind.POLE or (landmarks.kind == kind).any():
+                out.append(
+                    KindHealth(
+                        kind, seen, int(rows.sum()), suspended, float(squared_m2[rows].sum())
+                    )
+                )
+        return (*out, *(lines.by_kind if lines is not None else ()))
+
     def _judge_place(
         self, done: Weighed, fit: Match, pose: Floats, major: float, *, narrow: bool
     ) -> tuple[bool, bool]:
         """Whether poles contradict the place, and whether poles have held the pose lately."""
         scan, step, recovery = done.scan, done.step, self._recovery
+        # corners that do not fit accuse their map (`CornerTrust`), and a few that do prove nothing
+        poles, seen = fit.poles, len(fit.poles.assignment)
         if done.restarted:
             recovery.proof.begin()
         else:
-            recovery.prove(scan, fit, pose, step, narrow=narrow)
-        possible = max(min(float(len(scan)), fit.expected), float(fit.matched))
-        unmatched = recovery.unmatched.contradict(scan.stamp_s, fit.matched, possible)
+            recovery.prove(scan.stamp_s, poles, pose, step, narrow=narrow)
+        possible = max(min(float(seen), poles.expected), float(poles.matched))
+        unmatched = recovery.unmatched.contradict(scan.stamp_s, poles.matched, possible)
         # where no pole has held the pose lately, one that fails says nothing of the detector
         held = recovery.held_anew(scan.stamp_s)
         independent = independent_share(step.moved_m, step.elapsed_s, self._config.poles)
         strange = recovery.strange
         if done.event is None:
             before = strange.contradict
-            recovery.add_held(scan.stamp_s, fit.matched, independent, major)
+            corners = 0 if self.corners.doubted else fit.matched - poles.matched
+            recovery.add_held(scan.stamp_s, poles.matched, independent, major, corners=corners)
             strange.add_scan(
-                fit.matched, len(scan), fit.misfit, independent, mapped=fit.in_view > 0
+                poles.matched, seen, poles.misfit, independent, mapped=poles.in_view > 0
             )
             if strange.contradict and not before:
                 self._counts["poles_contradict"] += 1

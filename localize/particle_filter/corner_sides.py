@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 _SIDE_SD_RAD = 0.3  # of the difference between a seen and a mapped side
 _SIDES_SD = 3.0  # sides further apart are different
 # of a mapped corner in view, of those of a pole: its flank must be seen, and a free side
-_DETECTION = 0.7
+CORNER_DETECTION = 0.7
 # poses are taken to look the same way within this
 _TURN_RAD = 0.2
 
@@ -46,7 +46,7 @@ def by_turn(
     landmarks: Landmarks,
 ) -> PoseLikelihoods:
     """What `weigh` says of poses `(n, 3)` of corners, those that look alike together."""
-    less = replace(landmarks, detection=landmarks.detection * _DETECTION)
+    less = replace(landmarks, detection=landmarks.detection * CORNER_DETECTION)
     turn = wrap_angle(poses[:, 2] - poses[0, 2])
     if np.ptp(turn) <= 2.0 * _TURN_RAD:
         yaw = float(poses[0, 2] + 0.5 * (turn.min() + turn.max()))

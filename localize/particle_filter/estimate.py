@@ -29,12 +29,32 @@ class Mode:
 
 
 @dataclass(frozen=True, slots=True)
+class KindHealth:
+    """What a scan has shown of one kind of landmarks.
+
+    Attributes:
+        kind: a `LandmarkKind`.
+        seen, matched: landmarks, or pieces of lines.
+        suspended: whether the kind is not believed.
+        squared_m2: sum of the squared distances of those that match, from their place in the map;
+            of lines across them.
+    """
+
+    kind: int
+    seen: int
+    matched: int
+    suspended: bool
+    squared_m2: float
+
+
+@dataclass(frozen=True, slots=True)
 class LineHealth:
     """Pieces of mapped kinds, those that match a line, and kinds that are not believed."""
 
     seen: int = 0
     matched: int = 0
     suspended: tuple[str, ...] = ()
+    by_kind: tuple[KindHealth, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +74,7 @@ class HealthRecord:
         mode_share: weight of the best one.
         evidence_share: power that the scan's likelihood was raised to.
         lines: the same of lines; None where the map holds none that count.
+        by_kind: the same of every kind that the map holds.
     """
 
     stamp_s: float
@@ -73,6 +94,7 @@ class HealthRecord:
     yaw_rate_offset_radps: float
     speed_scale: float
     lines: LineHealth | None = None
+    by_kind: tuple[KindHealth, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

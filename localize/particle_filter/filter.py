@@ -200,7 +200,8 @@ class ParticleFilter:
         travelled = self._history.travelled_m(stamp)
         if not self._window.whole:
             scan = self._mapped(scan, odometry_pose)
-        self._recovery.search.add_scan(scan, odometry_pose, travelled)
+        known = self._assessment.corners.without_suspended(scan)
+        self._recovery.search.add_scan(known, odometry_pose, travelled)
         event: Event | None = None
         if self.initialized:
             arcs = self._history.arcs(self._stamp_s, stamp, _ARC_S)
@@ -247,24 +248,24 @@ class ParticleFilter:
         particles.log_weights = self._fixes.weigh_by_fixes(
             particles.log_weights, particles.rear, stamp, self._history
         )
-        before_scan = self._weigh_scan(scan, share)
+        used, before_scan = self._weigh_scan(scan, share)
         self._lines.weigh(
             particles, scan, step.moved_m, step.elapsed_s, self._assessment.persistent.covariance
         )
         if event is None:
-            event = self._recovery.recover(particles, scan, odometry_pose, self._scan_evidence)
+            event = self._recovery.recover(particles, used, odometry_pose, self._scan_evidence)
             if event == "reinitialized":
                 # a restart starts clean: what was learned at a wrong place is wrong
                 self._calibration.forget()
                 self._noise.reset()
         done = Weighed(
-            scan, event, step, particles, self._landmarks, self._used_share, before_scan,
-            self._pose, self._odometry_pose,
+            used, event, step, particles, self._landmarks, self._used_share, before_scan,
+            self._pose, self._odometry_pose, len(scan) - len(used),
         )  # fmt: skip
         estimate = self._assessment.estimate(done, self._history, self.correction)
         self._pose, self._odometry_pose = estimate.pose, odometry_pose
         particles.resample_by_weight(estimate.health.n_eff)
-        self._recovery.inject(particles, scan, odometry_pose)
+        self._recovery.inject(particles, used, odometry_pose)
         # what the poles correct teaches something only where the pose is sure
         self._trusted = estimate.healthy and estimate.health.position_sd_major_m < _SURE_SD_M
         if not self._trusted and estimate.usable and self._lines.hold:
@@ -292,11 +293,15 @@ class ParticleFilter:
         self._window.follow([pose[:2], *places], velocity)
         return self._window.mapped(scan, pose)
 
-    def _weigh_scan(self, scan: Detections, share: float) -> Floats:
-        """Weigh the particles; their covariance `(3, 3)` before."""
+    def _weigh_scan(self, scan: Detections, share: float) -> tuple[Detections, Floats]:
+        """Weigh the particles; what of the scan did so, and their covariance `(3, 3)` before."""
         particles = self._particles
         rear, before = particles.rear, particles.weights
         self._landmarks = self._weigher.near(rear, scan)
+        if LandmarkKind.CORNER in self._window.kinds:
+            scan, self._landmarks = self._assessment.believed_part(
+                scan, self._landmarks, particles, share
+            )
         result = self._weigher.weigh(rear, scan, self._landmarks)
         expected = particles.moments
         particles.log_weights, self._used_share = tempered(
@@ -313,4 +318,4 @@ class ParticleFilter:
         self._recovery.averages.add_quality(
             scan.stamp_s, self._recovery.quality(result, before, len(scan))
         )
-        return expected[1]
+        return scan, expected[1]

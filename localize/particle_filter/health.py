@@ -23,6 +23,8 @@ PROVEN_SD_M, PROVEN_AFTER_M = 0.5, 25.0
 none of 636 simulated starts claimed a wrong pose."""
 LINES_PROVEN_AFTER_M = 100.0
 """A single ridge of particles whose lines fit for so many metres is in the lane where it says."""
+CORNERS_PROVEN_AFTER_M = 100.0
+"""Houses of a row look alike: corners alone must be found where they are expected for longer."""
 # least share of the poles that could match and do: a third, where p_detection lets two thirds hope
 _FIT_SHARE_MIN = 0.34
 _HOPE = 0.5  # where fewer matches could be hoped for, none says nothing
@@ -133,20 +135,20 @@ class StartProof:
 
     def __init__(self, config: RecoveryConfig) -> None:
         self._config = config
-        self._upheld_m = self._lines_m = 0.0
+        self._upheld_m = self._lines_m = self._corners_m = 0.0
         self._fitting = 1.0
         self.proven = self.was_proven = False
         self.contradicted = False
 
     def begin(self) -> None:
         """A new start: nothing is known."""
-        self._upheld_m = self._lines_m = 0.0
+        self._upheld_m = self._lines_m = self._corners_m = 0.0
         self._fitting = 1.0
         self.proven = self.was_proven = self.contradicted = False
 
     def doubt(self) -> None:
         """Poles contradict the place: it must be proven again."""
-        self._upheld_m = self._lines_m = 0.0
+        self._upheld_m = self._lines_m = self._corners_m = 0.0
         self.proven = False
 
     def believe(self) -> None:
@@ -193,6 +195,21 @@ class StartProof:
         elif possible > _HOPE:
             self._upheld_m = max(0.0, self._upheld_m - moved_m)
         self.proven |= verdict == "confirmed" or self._upheld_m >= PROVEN_AFTER_M
+        self.was_proven |= self.proven
+
+    def add_corners(self, *, narrow: bool, seen: int, matched: int, moved_m: float) -> None:
+        """Take in the corners of a scan that are believed.
+
+        Args:
+            narrow: the particles have one mode, narrower than `PROVEN_SD_M`.
+        """
+        if not narrow:
+            self._corners_m = 0.0
+        elif matched:
+            self._corners_m += moved_m
+        elif seen:
+            self._corners_m = max(0.0, self._corners_m - moved_m)
+        self.proven |= self._corners_m >= CORNERS_PROVEN_AFTER_M
         self.was_proven |= self.proven
 
     def add_lines(self, *, one_place: bool, seen: int, matched: int, moved_m: float) -> None:

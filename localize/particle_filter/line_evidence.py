@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections
 from polemap.drivelog.line_detections import LineDetections
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.particle_filter.estimate import LineHealth
+from polemap.localize.particle_filter.estimate import KindHealth, LineHealth
 from polemap.localize.particle_filter.line_errors import add_lines
 from polemap.localize.particle_filter.line_trust import LineTrust
-from polemap.localize.particle_filter.line_weigher import LineWeigher, line_share
+from polemap.localize.particle_filter.line_weigher import LineMatch, LineWeigher, line_share
 from polemap.localize.particle_filter.particles import ParticleSet
 from polemap.localize.particle_filter.persistent_errors import PersistentErrors, at_least
 from polemap.localize.particle_filter.pole_weigher import tempered
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 # lines hold the pose aside for so long a way after they were last matched
 _HOLD_M = 15.0
@@ -58,7 +59,7 @@ class LineEvidence:
         self._kinds = self._kinds_of(pole_map)
         self.trust = LineTrust(counts)
         self._step: LineStep | None = None
-        self._seen = 0
+        self._seen: Rows = np.empty(0, dtype=np.int64)
         self._held_m = np.inf
 
     def use_map(self, pole_map: PoleMap) -> None:
@@ -90,12 +91,12 @@ class LineEvidence:
             moved_m, elapsed_s: since the last scan.
             stated: `(3, 3)` covariance of the pose that lasting errors leave.
         """
-        self._step, self._seen = None, 0
+        self._step, self._seen = None, np.empty(0, dtype=np.int64)
         self._held_m += moved_m
         if scan.lines is None or self._weigher.empty:
             return
         lines = scan.lines.of_kinds(*self._kinds)
-        self._seen = len(lines)
+        self._seen = lines.kind.astype(np.int64)
         if not len(lines):
             return
         rear = particles.rear
@@ -128,11 +129,27 @@ class LineEvidence:
             return None
         suspended = self.trust.suspended
         if self._step is None:
-            return LineHealth(self._seen, 0, suspended)
+            return LineHealth(len(self._seen), 0, suspended, self._by_kind(None))
         match = self._weigher.match(pose, self._step.lines)
         if len(match):
             self._held_m = 0.0
         if errors is not None:
             step, yaw = self._step, float(pose[2])
             add_lines(errors, step.before, match, yaw, len(step.lines), step.share)
-        return LineHealth(self._seen, len(match), suspended)
+        return LineHealth(len(self._seen), len(match), suspended, self._by_kind(match))
+
+    def _by_kind(self, match: LineMatch | None) -> tuple[KindHealth, ...]:
+        """Of every kind of lines that the map holds around the car."""
+        out = []
+        for kind in self._kinds:
+            across_m = np.empty(0) if match is None else match.across_m[match.kind == kind]
+            out.append(
+                KindHealth(
+                    kind,
+                    int(np.count_nonzero(self._seen == kind)),
+                    len(across_m),
+                    self.trust.is_suspended(kind),
+                    float(across_m @ across_m),
+                )
+            )
+        return tuple(out)

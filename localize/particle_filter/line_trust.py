@@ -104,6 +104,10 @@ class LineTrust:
             if trust.suspended
         )
 
+    def is_suspended(self, kind: int) -> bool:
+        """Whether a kind is not believed."""
+        return kind in self._kinds and self._kinds[kind].suspended
+
     def forget(self) -> None:
         """A new place: what lines said at another one says nothing here."""
         self._kinds.clear()
@@ -139,7 +143,9 @@ class LineTrust:
                 self._kinds[kind] = _KindTrust()
                 self.doubted = True
             return not self._kinds[kind].suspended
-        over = np.array([distance_sd, -distance_sd]) - _SLACK_SD
+        # a stray piece lies anywhere: one frame must not say more than its lines can
+        bounded_sd = float(np.clip(distance_sd, -_FRAME_SD, _FRAME_SD))
+        over = np.array([bounded_sd, -bounded_sd]) - _SLACK_SD
         trust.sums = np.clip(trust.sums + share * over, 0.0, _MOST)
         step = not trust.suspended and trust.steps(off, moved_m)
         far = abs(distance_sd) > _FRAME_SD or step

@@ -4,7 +4,7 @@ counts."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,7 @@ class Match:
         expected: detections to be hoped for.
         misfit: sum of the squared distances of equation (7) over those that match.
         assignment: `(z,)` landmark of every seen pole, -1 for clutter.
+        without_corners: the same without corners; None where there are none.
     """
 
     matched: int
@@ -64,6 +65,12 @@ class Match:
     expected: float
     misfit: float = 0.0
     assignment: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    without_corners: Match | None = None
+
+    @property
+    def poles(self) -> Match:
+        """What it makes of the poles."""
+        return self if self.without_corners is None else self.without_corners
 
 
 class PoleWeigher:
@@ -152,7 +159,7 @@ class PoleWeigher:
         """Match a scan from a single rear-axle pose `(3,)`."""
         assignment = np.full(len(scan), -1, dtype=np.int32)
         parts: list[PoseLikelihoods] = []
-        kinds = _kinds_of(scan, landmarks)
+        found_kinds = kinds = _kinds_of(scan, landmarks)
         if len(kinds) == 1:
             alone = self._weigh_kind(pose[np.newaxis], scan, landmarks, want_assignment=True)
             assignment[:] = alone.assignment[0]
@@ -172,19 +179,37 @@ class PoleWeigher:
             found = part.assignment[0]
             assignment[mine] = np.where(found >= 0, theirs[found] if len(theirs) else -1, -1)
             parts.append(part)
-        result = joint_likelihoods(parts)
         local = inverse_transform_points(pose, landmarks.points_m)
-        in_view = int(self._view_of(scan).contains(local).sum())
-        return Match(
-            int(result.matched[0]),
-            in_view,
-            float(result.expected[0]),
-            -2.0 * float(result.log_fit[0]),
-            assignment,
-        )
+        inside = self._view_of(scan).contains(local)
+        poles: Match | None = None
+        if LandmarkKind.CORNER in found_kinds:
+            rest = [
+                part
+                for part, kind in zip(parts, found_kinds, strict=True)
+                if kind != LandmarkKind.CORNER
+            ]
+            in_view = int(inside[landmarks.kind != LandmarkKind.CORNER].sum())
+            poles = _joint_match(rest, in_view, assignment[scan.kind != LandmarkKind.CORNER])
+        return replace(_joint_match(parts, int(inside.sum()), assignment), without_corners=poles)
 
     def _view_of(self, scan: Detections) -> VisibleRegion:
         return scan.view if scan.view is not None else self._view
+
+
+def _joint_match(
+    parts: list[PoseLikelihoods], in_view: int, assignment: NDArray[np.int32]
+) -> Match:
+    """What parts of a scan make of one pose together."""
+    if not parts:
+        return Match(0, in_view, 0.0, 0.0, assignment)
+    result = joint_likelihoods(parts)
+    return Match(
+        int(result.matched[0]),
+        in_view,
+        float(result.expected[0]),
+        -2.0 * float(result.log_fit[0]),
+        assignment,
+    )
 
 
 def _kinds_of(scan: Detections, landmarks: Landmarks) -> list[int]:

@@ -106,7 +106,7 @@ class Recovery:
         self._scattered_s = -np.inf
         self._matched_at_m = 0.0
         self._held_by = 0.0
-        self._matched_s = -np.inf
+        self._matched_s = self._corners_s = -np.inf
         self._held_anew_by = 0.0
         self.explored_share = 0.0
 
@@ -211,11 +211,14 @@ class Recovery:
         self.explored_share = len(rear) / len(particles)
         particles.replace_some(rear, log_weights)
 
-    def add_held(self, stamp_s: float, matched: int, share: float, major_sd_m: float) -> None:
+    def add_held(
+        self, stamp_s: float, matched: int, share: float, major_sd_m: float, *, corners: int = 0
+    ) -> None:
         """Take in the poles of a scan that fit, and the share of it that is independent.
 
         Args:
             major_sd_m: of the position; where it is so wide no pole holds the pose any more.
+            corners: that are believed and fit; they go on holding what poles have held.
         """
         loose = major_sd_m > _LOOSE_SD_M
         if loose or not self.proof.proven or self.strange.contradict:
@@ -226,6 +229,7 @@ class Recovery:
             self._held_anew_by += matched * share
             self._held_by += matched * share
             self._matched_s = stamp_s
+        self._corners_s = stamp_s if corners else self._corners_s
 
     @property
     def far_from_fixes(self) -> bool:
@@ -235,12 +239,13 @@ class Recovery:
     def held(self, stamp_s: float) -> bool:
         """Whether so many poles have held the pose, the last one lately, that fixes far away are
         wrong."""
-        lately = stamp_s - self._matched_s <= _HELD_S
+        lately = stamp_s - max(self._matched_s, self._corners_s) <= _HELD_S
         return lately and self._held_by >= _HELD_POLES
 
     def held_anew(self, stamp_s: float) -> bool:
-        """Whether they have done so since the last time that none was found for long."""
-        return self.held(stamp_s) and self._held_anew_by >= _HELD_POLES
+        """Whether poles have done so since the last time that none was found for long."""
+        lately = stamp_s - self._matched_s <= _HELD_S
+        return lately and min(self._held_by, self._held_anew_by) >= _HELD_POLES
 
     def scatter(self, particles: ParticleSet, stamp_s: float, travelled_m: float) -> None:
         """Poles are seen and match nothing: half of the particles look around.
@@ -258,25 +263,28 @@ class Recovery:
         particles.scatter(_SCATTER_SHARE, min(travelled_m - self._matched_at_m, _SCATTER_MAX_M))
         self.counts["scattered"] += 1
 
-    def prove(
-        self, scan: Detections, fit: Match, pose: Floats, step: Step, *, narrow: bool
-    ) -> None:
-        """Ask the last metres' constellation while the place is not proven, or in doubt again."""
+    def prove(self, stamp_s: float, fit: Match, pose: Floats, step: Step, *, narrow: bool) -> None:
+        """Ask the last metres' constellation while the place is not proven, or in doubt again.
+
+        Args:
+            fit: of the poles of a scan.
+        """
+        seen = len(fit.assignment)
         proof = self.proof
         if fit.matched and not self.strange.contradict:
             self._matched_at_m = step.travelled_m
-        proof.add_fit(fit.matched, len(scan), step.elapsed_s)
+        proof.add_fit(fit.matched, seen, step.elapsed_s)
         verdict: Verdict = "open"
         if not proof.proven or proof.in_doubt or self.strange.contradict:
             intervals = _DOUBT_INTERVALS if proof.proven else 1.0
-            if self.search.rested(scan.stamp_s, intervals):
+            if self.search.rested(stamp_s, intervals):
                 verdict = self.search.verify(
-                    pose, scan.stamp_s, step.odometry_pose, self._rng, proven=proof.proven
+                    pose, stamp_s, step.odometry_pose, self._rng, proven=proof.proven
                 )
         proof.add_verdict(
             verdict,
             narrow=narrow,
             matched=fit.matched,
-            possible=min(float(len(scan)), fit.expected),
+            possible=min(float(seen), fit.expected),
             moved_m=step.moved_m,
         )

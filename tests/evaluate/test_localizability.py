@@ -10,14 +10,21 @@ import pytest
 from polemap.detect.config import DetectionConfig
 from polemap.detect.visibility import camera_sector
 from polemap.drivelog.detections import VisibleRegion, pole_detections
+from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.evaluation.localizability import (
+    HEADING_SD_RAD,
+    HELD_SD_M,
+    PLACE_SD_M,
     SensorModel,
     camera_sensor,
+    held_shares,
     localizability,
     scans_sensor,
 )
+from polemap.localize.particle_filter.line_model import KIND_MODELS
 from polemap.map.pole_map import PoleMap
 from polemap.stereo.rig import Mounting, StereoRig
+from tests.localize.particle_filter.test_line_model import ORIGIN_M, line_map
 from tests.polemap.map.test_map_io import LOCAL, make_map
 
 VIEW = VisibleRegion(np.array([0.0, 0.0]), -0.7, 0.7, 1.0, np.array([40.0]))
@@ -153,3 +160,31 @@ def test_a_camera_sees_what_falls_into_its_picture() -> None:
     )
     assert 100 < shown.sum() < 1000
     np.testing.assert_array_equal(camera_sector(rig, DetectionConfig()).contains(points), shown)
+
+
+def test_a_line_beside_the_car_holds_it_aside_and_nothing_along() -> None:
+    kerb = int(LandmarkKind.KERB)
+    street = line_map([np.array([[0.0, 3.0], [60.0, 3.0]]) - ORIGIN_M], [kerb], sd_m=0.05)
+    street = replace(street, frame=LOCAL)
+    alone = replace(PoleMap.empty(LOCAL), lines=street)
+    sensor = replace(SENSOR, line_sd={kerb: (0.07, 0.01)})
+    poses = np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.03], [80.0, 0.0, 0.0]])
+    one = localizability(alone, poses, sensor).by_kind[LandmarkKind.KERB]
+    model = KIND_MODELS[kerb]
+    weight = model.detection * 0.9
+    across = weight / (0.07**2 + model.floor_m**2 + 0.05**2)
+    turn = weight / (0.01**2 + model.floor_rad**2) + HEADING_SD_RAD**-2.0
+    # what the turn leaves unknown moves the piece, 8 m ahead, aside
+    assert one.lateral_sd_m[0] == pytest.approx(np.sqrt(1.0 / across + 8.0**2 / turn), rel=0.01)
+    assert one.expected.tolist() == pytest.approx([weight, weight, 0.0])
+    assert one.longitudinal_sd_m == pytest.approx(PLACE_SD_M, rel=0.01)
+    both = replace(poles([(25.0, 4.0)]), lines=street)
+    with_pole = localizability(both, poses, sensor, prior_sd=(np.inf, HEADING_SD_RAD))
+    assert list(with_pole.by_kind) == [LandmarkKind.POLE, LandmarkKind.KERB]
+    pole = with_pole.by_kind[LandmarkKind.POLE]
+    assert with_pole.lateral_sd_m[0] < min(pole.lateral_sd_m[0], one.lateral_sd_m[0])
+    assert pole.longitudinal_sd_m[0] < HELD_SD_M
+    held = {name: (aside, along) for name, aside, along in held_shares([with_pole])}
+    assert held["kerb"] == pytest.approx((2 / 3, 0.0))
+    assert held["pole"][1] == pytest.approx(2 / 3)
+    assert held["none"] == pytest.approx((1 / 3, 1 / 3))

@@ -8,9 +8,10 @@ import yaml
 from polemap.drivelog.errors import FrameError, InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.tum import read_tum
-from polemap.evaluation.run_metrics import run_metrics
+from polemap.evaluation.run_metrics import landmarks_by_kind, run_metrics
 from polemap.localize.config import LocalizeConfig
-from polemap.localize.io import HEALTH_COLUMNS, write_run
+from polemap.localize.io import CORNER_COLUMNS, HEALTH_COLUMNS, write_run
+from polemap.localize.particle_filter.estimate import KindHealth
 from polemap.localize.replay import replay
 from polemap.simulate.points.drive import FRAME
 from tests.localize.point_drives import street_drive
@@ -195,3 +196,36 @@ def test_numbers_that_are_not_finite_become_null(run, tmp_path):
         "a": None,
         "b": {"c": [1.5, None]},
     }
+
+
+def test_what_each_kind_has_shown_is_counted_and_told(run, tmp_path):
+    """As if every second pole were a corner that was not believed in the second half."""
+    updates = []
+    for number, update in enumerate(run.updates):
+        late = number >= len(run.updates) // 2
+        kinds = (KindHealth(0, 4, 3, False, 0.03), KindHealth(1, 2, 1 - late, late, 0.04))
+        health = replace(update.estimate.health, by_kind=kinds)
+        updates.append(replace(update, estimate=replace(update.estimate, health=health)))
+    n, late = len(updates), len(updates) - len(updates) // 2
+    told = landmarks_by_kind(updates, {"pf_corners_suspended": 1})
+    assert list(told) == ["pole", "corner"]
+    assert (told["pole"]["seen"], told["pole"]["matched"]) == (4 * n, 3 * n)
+    assert told["pole"]["residual_rms_m"] == pytest.approx(0.1)
+    assert (told["corner"]["matched"], told["corner"]["suspensions"]) == (n - late, 1)
+    assert told["corner"]["suspended_share"] == pytest.approx(late / n)
+    write_run(tmp_path, replace(run, updates=tuple(updates)), {}, {})
+    header, *rows = (tmp_path / "health.csv").read_text().splitlines()
+    assert header == ",".join((*HEALTH_COLUMNS, *CORNER_COLUMNS))
+    assert [row.rsplit(",", 3)[1:] for row in (rows[0], rows[-1])] == [
+        ["1", "2", "0"],
+        ["0", "2", "1"],
+    ]
+
+
+def test_poles_of_a_run_are_counted(run, street):
+    told = run_metrics(run, street.drive, street.pole_map)["landmarks_by_kind"]
+    assert list(told) == ["pole"]
+    assert told["pole"]["in_map"] == len(street.pole_map)
+    matched = sum(update.estimate.health.matched for update in run.updates)
+    assert told["pole"]["matched"] == matched > 0
+    assert 0.0 < told["pole"]["residual_rms_m"] < 0.5

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.evaluation.localizability import HELD_SD_M, Localizability
 from polemap.evaluation.results import RouteResult, SystemResult
-from polemap.tools.report.route_bound import PRIOR_SD, route_bound
+from polemap.tools.report.route_bound import PRIOR_SD, STEP_M, route_bound
 from polemap.tools.report.run_tables import STAGE_NAMES, runs_of
 from polemap.tools.report.style import (
     COLOURS,
@@ -208,8 +211,14 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
     if found is None:
         return None
     bound = found.bound
-    with drawing(8.0, 3.6) as figure:
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    kinds = list(bound.by_kind) if set(bound.by_kind) - {LandmarkKind.POLE} else []
+    extra = [0.2 + 0.25 * len(kinds)] if kinds else []
+    with drawing(8.0, 3.6 + sum(extra)) as figure:
+        upper, lower, *strip = figure.subplots(
+            2 + len(extra), 1, sharex=True, height_ratios=(2.0, 1.0, *extra)
+        )
+        if kinds:
+            _draw_holders(strip[0], bound, kinds)
         for name, values, colour in (
             ("lateral", bound.lateral_sd_m, COLOURS["kf"]),
             ("longitudinal", bound.longitudinal_sd_m, COLOURS["pf"]),
@@ -224,7 +233,7 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
             bound.distance_m, bound.poles_in_view, color=COLOURS["pole"], drawstyle="steps-mid"
         )
         lower.set_ylim(bottom=0)
-        tidy(lower, "distance driven [m]", "poles expected")
+        tidy(lower, "" if kinds else "distance driven [m]", "poles expected")
         return finish(
             figure,
             key,
@@ -232,8 +241,30 @@ def localizability_picture(result: RouteResult, key: str) -> Picture | None:
             f"Position standard deviation that one look at the mapped poles allows (Cramér–Rao "
             f"bound, errors of {found.errors_of}, {found.range_m:.0f} m of view, heading known to "
             f"{PRIOR_SD[1]} rad before); a filter gathers many looks. Poles expected: sightings, "
-            "with the probabilities that a mapped pole stands and is seen.",
+            "with the probabilities that a mapped pole stands and is seen."
+            + (
+                f" Bars: where one kind alone holds the pose to {HELD_SD_M} m, aside (upper half) "
+                "and along the street (lower half)."
+                if kinds
+                else ""
+            ),
         )
+
+
+def _draw_holders(axes: Any, bound: Localizability, kinds: list[LandmarkKind]) -> None:
+    """Where each kind alone holds the pose, a row of bars each."""
+    at, step = bound.distance_m, np.diff(bound.distance_m, append=bound.distance_m[-1] + STEP_M)
+    for row, kind in enumerate(kinds):
+        for held, up, colour in zip(
+            bound.holding(kind), (0.02, -0.38), (COLOURS["kf"], COLOURS["pf"]), strict=True
+        ):
+            spans = np.column_stack([at, step])[held]
+            axes.broken_barh([tuple(s) for s in spans.tolist()], (up - row, 0.36), color=colour)
+    names = [kind.name.lower().replace("_", " ") for kind in kinds]
+    axes.set_yticks([-row for row in range(len(kinds))], names)
+    axes.set_ylim(-len(kinds) + 0.5, 0.5)
+    axes.grid(visible=False, axis="y")
+    tidy(axes, "distance driven [m]", "held by")
 
 
 def timing_picture(result: RouteResult, key: str) -> Picture | None:

@@ -12,7 +12,13 @@ from polemap.evaluation.laps import road_length_m
 from polemap.evaluation.results import RouteResult, SystemResult
 from polemap.parsing.errors import ParsingError
 from polemap.parsing.yaml_text import read_yaml
-from polemap.tools.report.run_tables import accuracy_table, event_table, run_spread, timing_table
+from polemap.tools.report.run_tables import (
+    accuracy_table,
+    event_table,
+    kind_table,
+    run_spread,
+    timing_table,
+)
 from polemap.tools.report.tables import Table, number, span, with_spread
 
 NEAR_ROUTE_M = 15.0
@@ -34,6 +40,7 @@ def all_tables(results: Sequence[RouteResult], machine: str) -> list[Table]:
         truth_table(results),
         accuracy_table(results),
         event_table(results),
+        kind_table(results),
         timing_table(results, machine),
         map_table(results),
         exclusion_table(results),

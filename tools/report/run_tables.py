@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +103,58 @@ def event_table(results: Sequence[RouteResult]) -> Table:
         ("Route", "Re-initializations", "Exploration events", "Gate rejections", "Late, dropped"),
         tuple(rows),
         "Mean per run, and in brackets the most in one run.",
+    )
+
+
+def kind_table(results: Sequence[RouteResult]) -> Table:
+    """What was seen of every kind of landmarks, per run."""
+    rows: list[tuple[str, ...]] = []
+    for result in results:
+        for setting in result.route.setting_names:
+            found: dict[str, list[Mapping[str, Any]]] = {}
+            for run in (run for group in runs_of(result, setting) for run in group):
+                for kind, one in run.metrics.get("landmarks_by_kind", {}).items():
+                    found.setdefault(str(kind), []).append(one)
+            name = result.route.name + result.route.setting_mark(setting)
+            rows += [(name, kind.replace("_", " "), *_of_kind(one)) for kind, one in found.items()]
+    if not any(row[1] != "pole" for row in rows):
+        rows = []  # of a map of poles alone the other tables tell
+    return Table(
+        "kinds",
+        "Landmarks by kind",
+        (
+            "Route",
+            "Kind",
+            "In the map",
+            "Seen",
+            "Matched",
+            "Matched [%]",
+            "Suspended [times]",
+            "Suspended [% of updates]",
+            "Residual RMS [m]",
+        ),
+        tuple(rows),
+        "Mean per recording and run; of lines, pieces are counted. A kind is suspended while "
+        "its landmarks lie elsewhere than the map says. Residual: of those that match from their "
+        "place in the map, of lines across.",
+        text_columns=2,
+    )
+
+
+def _of_kind(found: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    def mean(key: str) -> float:
+        values = [float(one[key]) for one in found if one.get(key) is not None]
+        return float(np.mean(values)) if values else float("nan")
+
+    seen, matched = mean("seen"), mean("matched")
+    return (
+        number(mean("in_map"), 0),
+        number(seen, 0),
+        number(matched, 0),
+        number(100.0 * matched / seen if seen else float("nan"), 0),
+        number(mean("suspensions"), 2),
+        number(100.0 * mean("suspended_share"), 1),
+        number(mean("residual_rms_m"), 3),
     )
 
 
