@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
-NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp polemap/detect/native/*.?pp)
+NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp polemap/detect/native/*.?pp vehicle/native/*.?pp)
 
 .PHONY: setup demo test check check-docs lint bench city campaign figures docs site lock clean
 

@@ -42,6 +42,10 @@ class OdometryWindow:
         row = (sample.stamp_s, sample.speed_mps, sample.yaw_rate_radps)
         if not all(map(isfinite, row)):
             return False
+        if sample.stamp_s > self.newest_s:
+            for track, value in zip(self._tracks(), row, strict=True):
+                track.append(value)
+            return True
         place = bisect_left(self.stamps_s, sample.stamp_s)
         end = bisect_right(self.stamps_s, sample.stamp_s, place)
         for track, value in zip(self._tracks(), row, strict=True):

@@ -194,6 +194,10 @@ class OdometryCalibration:
         """
         if not (self._config.learn_offsets and self._config.learn_from_poses):
             return
+        start, travelled_m = self._start, self._raw.travelled_m(stamp_s)
+        long_enough = start is not None and travelled_m - start.travelled_m >= _STRETCH_M
+        if start is not None and not long_enough and stamp_s - start.stamp_s < _STRETCH_LONGEST_S:
+            return
         end = _Start(
             stamp_s,
             pose.copy(),
@@ -202,16 +206,11 @@ class OdometryCalibration:
             # of the pose's own moment: odometry of the scan's delay is there already, and a car
             # that changes its speed drives another way in the delay of either end
             self._raw.odometry_pose(stamp_s),
-            self._raw.travelled_m(stamp_s),
+            travelled_m,
             turn_only,
         )
-        start = self._start
-        if start is not None:
-            long_enough = end.travelled_m - start.travelled_m >= _STRETCH_M
-            if not long_enough and stamp_s - start.stamp_s < _STRETCH_LONGEST_S:
-                return
-            if long_enough:
-                self._use(start, end)
+        if start is not None and long_enough:
+            self._use(start, end)
         self._start = end
 
     def _use(self, start: _Start, end: _Start) -> None:

@@ -33,10 +33,10 @@ class PoleInnovations:
 
     _WINDOW_S, _LARGEST_SD = 1.0, 5.0
     # corrections this small may come from the map: metres, metres, radians
-    _FLOOR = np.array([0.08, 0.08, 0.008]) ** 2
+    _FLOOR = (0.08**2, 0.08**2, 0.008**2)
 
     def __init__(self) -> None:
-        self._rows: deque[tuple[float, Floats, Floats]] = deque()
+        self._rows: deque[tuple[float, list[float], list[float]]] = deque()
 
     def contradict(
         self,
@@ -60,12 +60,15 @@ class PoleInnovations:
         moved[2] = np.arctan2(np.sin(moved[2]), np.cos(moved[2]))
         # particles of two opinions may spread more after a scan than before it
         narrowed = np.maximum(np.diag(turn @ (before[1] - after[1]) @ turn.T), 0.0)
-        self._rows.append((stamp_s, turn @ moved, narrowed))
+        self._rows.append((stamp_s, (turn @ moved).tolist(), narrowed.tolist()))
         while self._rows[0][0] <= stamp_s - self._WINDOW_S:
             self._rows.popleft()
-        total = np.sum([row[1] for row in self._rows], axis=0)
-        expected = np.sum([row[2] for row in self._rows], axis=0) + self._FLOOR
-        return bool(np.max(total**2 / expected) > self._LARGEST_SD**2)
+        for axis, floor in enumerate(self._FLOOR):
+            total = sum(row[1][axis] for row in self._rows)
+            expected = sum(row[2][axis] for row in self._rows) + floor
+            if total**2 / expected > self._LARGEST_SD**2:
+                return True
+        return False
 
     def forget(self) -> None:
         """Start a new window."""

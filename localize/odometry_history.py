@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from polemap.drivelog.odometry_window import OdometryWindow
 from polemap.drivelog.samples import OdometrySample
 from polemap.vehicle import packed
-from polemap.vehicle.motion import arc_displacement
 
 Floats = NDArray[np.float64]
 _KEEP_S = 90.0
@@ -147,7 +146,7 @@ class OdometryHistory:
         speed, yaw_rate = self.rates_at(stamp_s)
         distance = 0.5 * (self._speeds[i] + speed) * dt
         turn = 0.5 * (self._yaw_rates[i] + yaw_rate) * dt
-        east, north = arc_displacement(
+        east, north = packed.arc_displacement(
             self._yaw[i], distance, turn, self._sideslip(speed, yaw_rate)
         )
         return np.array([self._x[i] + east, self._y[i] + north, self._yaw[i] + turn])

@@ -34,7 +34,11 @@ def wrap_angle(angle_rad: Any) -> Any:
     >>> wrap_angle(np.pi) == -np.pi
     True
     """
-    return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
+    turned = angle_rad + np.pi
+    # most angles need no remainder, which costs more than all else here
+    if np.ndim(turned) and turned.size and turned.min() >= 0.0 and turned.max() < 2.0 * np.pi:
+        return turned - np.pi
+    return turned % (2.0 * np.pi) - np.pi
 
 
 def rotation(yaw_rad: ArrayLike) -> Floats:

@@ -34,7 +34,7 @@ class GnssStart:
         self._antenna = receiver.antenna_m
         self._yaw_sd_max = yaw_sd_max_rad
         self._pairs: deque[tuple[float, float, float, float, float]] = deque(maxlen=window)
-        self._odometry_pose = (0.0, 0.0, 0.0)
+        self._odometry_pose = self._odometry_pose_at_fix = (0.0, 0.0, 0.0)
         self._last: tuple[float, float, float] | None = None
 
     def add_odometry(self, stamp_s: float, speed_mps: float, yaw_rate_radps: float) -> None:
@@ -52,20 +52,19 @@ class GnssStart:
             self._odometry_pose = ctrv_step(self._odometry_pose, speed, rate, dt)
             self._last = (stamp_s, speed, rate)
 
-    def add_fix(
-        self, stamp_s: float, east_m: float, north_m: float, sd_m: float
-    ) -> tuple[Pose, PoseUpper] | None:
-        """Pose and packed covariance at the fix, once its heading is known."""
+    def add_fix(self, stamp_s: float, east_m: float, north_m: float, sd_m: float) -> None:
+        """Keep a fix and where the odometry was then."""
         if self._last is None:
-            return None
+            return
         self._move_to(stamp_s)
         place = transform_point(self._odometry_pose, *self._antenna)
         self._pairs.append((*place, east_m, north_m, sd_m))
+        self._odometry_pose_at_fix = self._odometry_pose
+
+    def pose_at_fix(self) -> tuple[Pose, PoseUpper] | None:
+        """Pose and packed covariance at the last fix, once its heading is known."""
         if len(self._pairs) < 3:
             return None
-        return self._fit()
-
-    def _fit(self) -> tuple[Pose, PoseUpper] | None:
         table = np.array(self._pairs)
         weight = 1.0 / table[:, 4] ** 2
         # a fix far from the others' common motion would turn the path: one pass of reweighting
@@ -82,7 +81,7 @@ class GnssStart:
             return None
         centre_local = (weight[:, None] * table[:, :2]).sum(axis=0) / total
         centre_fixed = (weight[:, None] * table[:, 2:4]).sum(axis=0) / total
-        x, y, yaw = self._odometry_pose
+        x, y, yaw = self._odometry_pose_at_fix
         dx, dy = x - float(centre_local[0]), y - float(centre_local[1])
         turned = float(fit[2])
         centre = (float(centre_fixed[0]), float(centre_fixed[1]), turned)

@@ -38,13 +38,13 @@ from polemap.localize.output_filter.state import (
     RestartEvent,
 )
 from polemap.localize.usable import FARTHEST_ON_EARTH_M
+from polemap.vehicle.ctrv import ctrv_predict
 from polemap.vehicle.delay import Placement, ReplayBuffer
 from polemap.vehicle.kalman import (
     is_covariance,
 )
 from polemap.vehicle.packed import (
     Pose,
-    ctrv_predict,
     pack,
     wrap,
 )
@@ -154,15 +154,18 @@ class OutputFilter:
         None while the fixes do not yet show the heading.
         """
         sd = self._receiver.sd_m(hdop)
-        found = self._start.add_fix(stamp_s, east_m, north_m, sd)
+        self._start.add_fix(stamp_s, east_m, north_m, sd)
         if self._buffer.started:
             placed = self._buffer.insert(stamp_s, GnssEvent(east_m, north_m, sd), kind=_GNSS)
             state = self._buffer.state
             lasted = stamp_s - max(state.gnss_rejected_since_s, state.last_pose_s)
             after_s = _WRONG_RESTART_AFTER_S if state.gnss_wrong else _GNSS_RESTART_AFTER_S
-            if found is not None and lasted >= after_s:
+            # what fixes alone say is asked for only where it would count
+            found = self._start.pose_at_fix() if lasted >= after_s else None
+            if found is not None:
                 self._buffer.insert(stamp_s, RestartEvent(*found), kind=_RESTART)
             return placed
+        found = self._start.pose_at_fix()
         if found is None:
             return None
         self._begin(stamp_s, *found, by_pose=False)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from polemap.localize.output_filter.config import OutputConfig
 from polemap.localize.output_filter.gate import fails_gate
 from polemap.localize.output_filter.state import FilterState, OdometryEvent
-from polemap.vehicle.packed import INDEX, Mean, Upper, update_by_two
+from polemap.vehicle.ctrv import update_by_two
+from polemap.vehicle.packed import INDEX, Mean, Upper
 
 # rows of the state, see `vehicle.packed`
 _SPEED, _RATE, _SCALE, _OFFSET = 3, 4, 5, 6

@@ -32,6 +32,7 @@ def sample_motion(
     factors: Floats | tuple[float, float, float] = (1.0, 1.0, 1.0),
     motion: FreeMotion | None = None,
     faults: OdometryFaults | None = None,
+    rear: Floats | None = None,
 ) -> Floats:
     """Front-axle poses `(n, 3)` after the arcs, each particle with its own noise; yaw not wrapped.
 
@@ -47,13 +48,15 @@ def sample_motion(
     With `motion` the particles that are free move by rates of their own; without it those that
     `faults` says hold the odometry for wrong correct it by what they take its errors for.
 
+    `rear` are the poses of the rear axle `(n, 3)`, where they are known.
+
     `factors` scale the noise along, aside and of the turn (`NoiseScale`).
 
     Source: Spangenberg (2016), equations (1)-(6), without the division by the yaw rate.
     """
     count = len(poses)
     # the rear axle carries the arc; the front axle is put back once, at the end
-    moved = move_reference_point(poses, -wheelbase_m)
+    moved = move_reference_point(poses, -wheelbase_m) if rear is None else rear.copy()
     yaw = moved[:, 2]
     along, beside, turning = factors
     for arc in arcs:

@@ -40,10 +40,10 @@ def demand(history: OdometryHistory, stamp_s: float) -> tuple[float, float]:
         rate of that time, in rad/s. Both as the odometry tells them.
     """
     half_s = 0.5 * _CHANGE_S
-    rows = np.array([history.rates_at(stamp_s - k * half_s) for k in range(2 * _REMEMBERED + 1)])
-    along = float(np.abs(rows[2:, 0] - rows[:-2, 0]).max()) / _CHANGE_S
-    aside = float(np.abs(rows[:, 0] * rows[:, 1]).max())
-    return max(along, aside), float(np.abs(rows[:, 1]).max())
+    rows = [history.rates_at(stamp_s - k * half_s) for k in range(2 * _REMEMBERED + 1)]
+    along = max(abs(a[0] - b[0]) for a, b in zip(rows[2:], rows[:-2], strict=True)) / _CHANGE_S
+    aside = max(abs(speed * rate) for speed, rate in rows)
+    return max(along, aside), max(abs(rate) for _, rate in rows)
 
 
 class OdometryFaults:
@@ -82,6 +82,8 @@ class OdometryFaults:
         chance = self._rng.random(len(self.faulty))
         noise = self._rng.standard_normal((2, len(self.faulty)))
         begin = ~self.faulty & (chance < -np.expm1(-often * dt_s))
+        if not (begin.any() or self.faulty.any()):
+            return
         end = self.faulty & (chance < -np.expm1(-_TURNS_SOUND_1PS * dt_s))
         rate_sd = _RATE_RADPS + turn_share * turn_radps
         self.speed_share = np.where(begin, speed_sd * noise[0], self.speed_share)

@@ -121,7 +121,7 @@ class ParticleSet:
         """Move by the odometry's arcs, each particle with its own noise."""
         moved = sample_motion(
             self.poses, arcs, self._wheelbase_m, self._config, self._rng, self._slips, factors,
-            self.motion, self.faults,
+            self.motion, self.faults, self.rear,
         )  # fmt: skip
         moved[:, 2] = wrap_angle(moved[:, 2])
         self.poses = moved

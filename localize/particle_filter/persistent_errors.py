@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from polemap.drivelog.detections import Detections
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.vehicle.kalman import symmetric
-from polemap.vehicle.pose import relative, rotate, rotate_covariance
+from polemap.vehicle.pose import rotate, rotate_covariance
 
 Floats = NDArray[np.float64]
 
@@ -71,9 +71,12 @@ class PersistentErrors:
             elapsed_s: on the way.
             sd: of the speed's scale and of the yaw rate, rad/s, as far as they are known.
         """
-        middle = relative(before, after).mean(axis=0)
-        yaw = float(np.arctan2(np.sin(before[:, 2]).mean(), np.cos(before[:, 2]).mean()))
-        moved = rotate(middle[:2], yaw)
+        c, s = np.cos(before[:, 2]), np.sin(before[:, 2])
+        east, north = after[:, 0] - before[:, 0], after[:, 1] - before[:, 1]
+        # the mean way in the axes of each particle, turned by the mean of their yaws
+        ahead, left = float(c @ east + s @ north), float(c @ north - s @ east)
+        yaw = float(np.arctan2(s.sum(), c.sum()))
+        moved = rotate(np.array([ahead, left]) / len(before), yaw)
         transition = np.eye(3)
         transition[:2, 2] = -moved[1], moved[0]
         lasting = np.zeros((3, 2))
@@ -138,10 +141,9 @@ class PersistentErrors:
         kept = np.eye(3) - gain @ flat
         column = self._columns(landmarks.ids[theirs])
         root = np.linalg.cholesky(_SHARE * seen + mapped)
-        lasting = np.zeros((2 * count, self._poles.shape[1]))
-        for i, first in enumerate(column.tolist()):
-            lasting[2 * i : 2 * i + 2, first : first + 2] = root[i]
-        moved = gain @ lasting
+        lasting = np.zeros((count, 2, self._poles.shape[1] // 2, 2))
+        lasting[np.arange(count), :, column // 2] = root
+        moved = gain @ lasting.reshape(2 * count, -1)
         led = kept @ self._poles
         # neighbouring scans share the other part too, which the power of the scan counts for
         white = _blocks((1.0 - _SHARE) / share * seen)

@@ -82,15 +82,18 @@ class PoleWeigher:
         self._model = PoleModel.of(config)
         self._view = default_view(config.poles)
         self._threads = config.threads
+        # the last rows of the map that were in reach, and what stands there
+        self._near: tuple[bytes, Landmarks] | None = None
 
     def use_map(self, pole_map: PoleMap) -> None:
         """Go on with other poles, of the same frame."""
-        self._map = pole_map
+        self._map, self._near = pole_map, None
 
     def near(self, rear_poses: Floats, scan: Detections) -> Landmarks:
         """Map poles within reach of any of the poses `(n, 3)`; scattered ones ask by cells."""
         reach = reach_of(scan, self._view_of(scan))
-        low, high = rear_poses[:, :2].min(axis=0), rear_poses[:, :2].max(axis=0)
+        east, north = rear_poses[:, 0], rear_poses[:, 1]
+        low, high = np.array([east.min(), north.min()]), np.array([east.max(), north.max()])
         half = float(np.hypot(*(high - low))) / 2
         if half <= _CELL_M:
             return self._landmarks(self._map.within((low + high) / 2, reach + half))
@@ -100,13 +103,17 @@ class PoleWeigher:
         return self._landmarks(np.unique(np.concatenate(found)))
 
     def _landmarks(self, rows: NDArray[np.int64]) -> Landmarks:
-        return Landmarks.of(
-            self._map,
-            self._p_detection,
-            rows,
-            uncertain=self._poles.map_covariance,
-            doubtful=self._poles.existence,
-        )
+        key = rows.tobytes()
+        if self._near is None or self._near[0] != key:
+            found = Landmarks.of(
+                self._map,
+                self._p_detection,
+                rows,
+                uncertain=self._poles.map_covariance,
+                doubtful=self._poles.existence,
+            )
+            self._near = key, found
+        return self._near[1]
 
     def weigh(
         self, rear_poses: Floats, scan: Detections, landmarks: Landmarks | None = None
@@ -202,7 +209,7 @@ def _joint_match(
     """What parts of a scan make of one pose together."""
     if not parts:
         return Match(0, in_view, 0.0, 0.0, assignment)
-    result = joint_likelihoods(parts)
+    result = parts[0] if len(parts) == 1 else joint_likelihoods(parts)
     return Match(
         int(result.matched[0]),
         in_view,

@@ -152,8 +152,12 @@ def _prepared(scan: Detections, model: PoleModel) -> tuple[Floats, Floats]:
     """Covariances `(z, 3)` with the floor, and the log factor of each pole against clutter."""
     full = scan.covariance_m2.reshape(-1, 2, 2)
     floor = model.position_floor_m**2
-    covariance = np.stack([full[:, 0, 0] + floor, full[:, 1, 1] + floor, full[:, 0, 1]], axis=1)
-    existence = np.clip(scan.probability, 1e-3, 1.0) if model.existence else np.ones(len(scan))
+    covariance = np.empty((len(full), 3))
+    covariance[:, 0], covariance[:, 1] = full[:, 0, 0] + floor, full[:, 1, 1] + floor
+    covariance[:, 2] = full[:, 0, 1]
+    existence = np.ones(len(full))
+    if model.existence:
+        existence = np.minimum(np.maximum(scan.probability, 1e-3), 1.0)
     return covariance, np.asarray(np.log(existence / model.clutter_per_m2))
 
 

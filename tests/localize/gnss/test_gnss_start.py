@@ -22,7 +22,8 @@ def drive(start, antenna, *, noise_m, seed=0, seconds=40, speed=5.0, rate=0.05, 
             y = pose[1] + s * antenna[0] + c * antenna[1] + rng.normal(0, noise_m)
             if outlier == step:
                 x += 100.0
-            answers.append((pose.copy(), found.add_fix(step * 0.1, x, y, max(noise_m, 0.5))))
+            found.add_fix(step * 0.1, x, y, max(noise_m, 0.5))
+            answers.append((pose.copy(), found.pose_at_fix()))
         pose = move_along_arc(pose, speed * 0.1, rate * 0.1)
     return answers
 

@@ -1,0 +1,24 @@
+"""The two steps of the CTRV filter that run at every sample and again in every replay.
+
+Compiled where the kernel is there; elsewhere in plain floats, `packed`, which is its oracle: both
+add up in the same order, and give the same bits on x86.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from polemap.vehicle import packed
+
+if TYPE_CHECKING:
+    ctrv_predict = packed.ctrv_predict
+    update_by_two = packed.update_by_two
+else:
+    try:
+        _steps = import_module("polemap.vehicle.native.packed_kernel")
+    except ImportError:
+        _steps = packed
+    ctrv_predict, update_by_two = _steps.ctrv_predict, _steps.update_by_two
+
+HAVE_KERNEL = ctrv_predict is not packed.ctrv_predict
