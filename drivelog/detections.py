@@ -75,6 +75,7 @@ class Detections(Columns):
             where no stereo camera measured it or its shared error is not considered.
         facing_rad: `(n,)` of a corner, counter-clockwise from forward: from its edge into the
             free side, away from what it bounds; NaN where the kind has none.
+        parts: `(n,)` of what it consists: 1, or the number of stakes round one sapling.
     """
 
     HEADER: ClassVar[frozenset[str]] = frozenset({"stamp_s", "arrival_s", "view", "lines"})
@@ -92,6 +93,7 @@ class Detections(Columns):
     track_id: NDArray[np.int64]
     shift_per_px_m: Floats
     facing_rad: Floats
+    parts: NDArray[np.int64]
 
     def of_kinds(self, *kinds: int) -> Self:
         """The rows of some kinds; the table itself where it holds no others."""
@@ -153,4 +155,5 @@ def pole_detections(
         ),
         shift_per_px_m=np.zeros((n, 2)),
         facing_rad=np.full(n, np.nan),
+        parts=np.ones(n, dtype=np.int64),
     )

@@ -25,6 +25,7 @@ from polemap.stereo.matching import DisparityPair, StereoMatcher, make_matcher
 from polemap.stereo.rig import StereoRig
 from polemap.track.disparity_offset import DisparityOffset
 from polemap.track.frame_motion import KEEP_S, motion_between
+from polemap.track.stakes import group_stakes
 from polemap.track.tracking import PoleTracker
 from polemap.track.tracks import Tracks, detections_of_tracks, tracks_in_view
 
@@ -176,9 +177,11 @@ class PolePerception:
         tracks = self._tracks()
         tracks = tracks.take(tracks.confirmed)
         if self._config.tracking.output == "tracks":
-            return tracks_in_view(tracks, detections)
-        shared_sd_px = self._offset.sd_px if self._offset is not None else 0.0
-        return detections_of_tracks(tracks, detections, shared_sd_px)
+            scan = tracks_in_view(tracks, detections)
+        else:
+            shared_sd_px = self._offset.sd_px if self._offset is not None else 0.0
+            scan = detections_of_tracks(tracks, detections, shared_sd_px)
+        return group_stakes(scan, tracks) if self._config.tracking.group_stakes else scan
 
     def _tracks(self) -> Tracks:
         """All tracks, with what the shared error adds to their covariance."""

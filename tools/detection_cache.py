@@ -32,7 +32,7 @@ from polemap.stereo.matching import make_matcher
 
 Floats = NDArray[np.float64]
 
-FORMAT = 3
+FORMAT = 4
 STAGES = ("disparity", "detection")
 _NO_POLES = pole_detections(0.0, 0.0, np.empty((0, 2)), np.empty((0, 2, 2)))
 

@@ -18,11 +18,13 @@ from polemap.build.existence import Evidence, Visibility, detection_probability,
 from polemap.build.history import COLUMN, OldMap, open_history, write_history
 from polemap.build.lines.merge_lines import merge_lines
 from polemap.build.map_columns import (
+    PARTS_COLUMN,
     building_reports,
     distinct,
     evidence_columns,
     facing_column,
     kind_column,
+    parts_column,
     weighted,
 )
 from polemap.build.merge import Merged
@@ -223,6 +225,7 @@ def _finish(
             **evidence_columns(landmarks, merged.owner, drives, n),
             **kind_column(landmarks, merged.owner, n),
             **facing_column(ordered, merged.owner, _known_facing(update, successors), n),
+            **parts_column(ordered, merged.owner, _known_parts(update, successors), n),
         },
     )
     # a pole that is known stays in doubt, a new one has to win it
@@ -246,6 +249,18 @@ def _known_facing(update: PoleMap | None, successors: Whole | None) -> dict[int,
     facing = update.extra[FACING_COLUMN]
     return {
         int(new): float(facing[row]) for row, new in successors.tolist() if np.isfinite(facing[row])
+    }
+
+
+def _known_parts(update: PoleMap | None, successors: Whole | None) -> dict[int, int]:
+    """Groups of stakes that the old map knew, by row of the new one."""
+    if update is None or successors is None or PARTS_COLUMN not in update.extra:
+        return {}
+    parts = update.extra[PARTS_COLUMN]
+    return {
+        int(new): int(parts[row])
+        for row, new in successors.tolist()
+        if np.isfinite(parts[row]) and parts[row] > 1
     }
 
 

@@ -26,6 +26,9 @@ class MappingConfig(BaseModel):
     existence_min: float = Field(
         0.5, ge=0.0, le=1.0, description="Least probability to stay in the map."
     )
+    group_stakes: bool = Field(
+        False, description="The stakes round a sapling (three or more) are mapped as one pole."
+    )
     align_max_m: float = Field(3.0, gt=0.0, description="Greatest shift between drives.")
     drift_sd_m: float = Field(
         0.7, gt=0.0, description="Of a reference that drifts, an axis (with --align)."

@@ -13,6 +13,7 @@ from polemap.build.drift import Drift, middle_s
 from polemap.build.georeference import MapDetections, georeference_scans
 from polemap.build.lines.seen_lines import SeenLines, seen_lines
 from polemap.build.registration import Shift, moved_detections, moved_landmarks
+from polemap.build.stakes import join_stakes
 from polemap.build.traversals import (
     TraversalLandmarks,
     associate,
@@ -99,6 +100,10 @@ def observe_drive(
     )
     numbers = associate(detections, config)
     landmarks, rows = average_traversals(detections, numbers)
+    joined = join_stakes(detections, landmarks, rows) if config.group_stakes else None
+    if joined is not None:
+        detections = joined[0]
+        landmarks, rows = average_traversals(*joined)
     lines = seen_lines(
         scans, detections.views, reference, config.reference_sd_m, config.reference_yaw_sd_rad
     )

@@ -69,6 +69,7 @@ class MapDetections(Columns):
         covariance_m2: `(n, 2, 2)` of the detector alone, in the map's frame.
         direction_rad: from the car to the pole, from grid east.
         facing_rad: of corners the direction of the free side, from grid east; NaN of other kinds.
+        parts: stakes that it stands for, 1 of a single pole.
         reference_sd_m: of the pose it was seen from.
         gain_m_per_px: `(n, 2)` how far an error of one pixel of disparity moves it; zero where no
             stereo camera saw it.
@@ -88,6 +89,7 @@ class MapDetections(Columns):
     range_m: Floats
     direction_rad: Floats
     facing_rad: Floats
+    parts: Whole
     reference_sd_m: Floats
     gain_m_per_px: Floats
     without_pose: int = 0
@@ -223,6 +225,7 @@ def _rows(
         range_m=distance[usable],
         direction_rad=np.arctan2(in_map[:, 1], in_map[:, 0]),
         facing_rad=seen.facing_rad[usable] + pose[:, 2],
+        parts=seen.parts[usable],
         reference_sd_m=np.where(np.isfinite(sd), sd, config.reference_sd_m),
         gain_m_per_px=np.zeros((len(scan), 2)),
     )

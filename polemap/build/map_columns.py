@@ -18,6 +18,8 @@ from polemap.map.pole_map import FACING_COLUMN, KIND_COLUMN
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
+PARTS_COLUMN = "parts"  # stakes round one sapling that a row stands for
+
 
 def weighted(values: Floats, observations: Whole, owner: Whole, n: int) -> Floats:
     """Mean of the finite values of each pole, weighted by observations; NaN without any."""
@@ -43,6 +45,26 @@ def kind_column(
     kind = np.zeros(n, dtype=np.int8)
     kind[owner] = landmarks.kind
     return {KIND_COLUMN: kind}
+
+
+def parts_column(
+    ordered: Sequence[DriveObservations], owner: Whole, known: Mapping[int, int], n: int
+) -> dict[str, NDArray[np.generic]]:
+    """The column `parts` `(n,)` where some pole stands for several stakes.
+
+    Args:
+        owner: landmark of the map of every traversal landmark, drive after drive.
+        known: of an old map, by row.
+    """
+    parts, first = np.ones(n, dtype=np.int64), 0
+    for row, count in known.items():
+        parts[row] = count
+    for part in ordered:
+        mine = owner[first : first + len(part.landmarks)]
+        told = part.rows >= 0
+        np.maximum.at(parts, mine[part.rows[told]], part.detections.parts[told])
+        first += len(part.landmarks)
+    return {PARTS_COLUMN: parts} if (parts > 1).any() else {}
 
 
 def facing_column(

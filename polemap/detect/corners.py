@@ -162,6 +162,7 @@ def _located(
         track_id=np.full(n, -1, dtype=np.int64),
         shift_per_px_m=np.zeros((n, 2)),
         facing_rad=_facing(walls, column_px, edges.free, rig),
+        parts=np.ones(n, dtype=np.int64),
         column_px=column_px,
         row_px=edges.row_px,
         slope=edges.slope,

@@ -210,6 +210,7 @@ def _locate(
         track_id=np.full(n, -1, dtype=np.int64),
         shift_per_px_m=np.zeros((n, 2)),
         facing_rad=np.full(n, np.nan),
+        parts=np.ones(n, dtype=np.int64),
         left_px=profiles.left_px,
         right_px=profiles.right_px,
         top_px=hypotheses.top_px,

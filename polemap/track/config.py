@@ -31,6 +31,10 @@ class TrackingConfig(BaseModel):
     yaw_rate_sd_radps: float = Field(
         0.01, ge=0.0, description="Standard deviation of the odometry's yaw rate."
     )
+    group_stakes: bool = Field(
+        False,
+        description="Scans hold the stakes round a sapling (three or more) as one pole.",
+    )
     disparity_offset_sd_px: float = Field(
         0.4, ge=0.0, description="Error that all disparities may share; learned, 0 switches it off."
     )

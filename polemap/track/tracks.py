@@ -124,5 +124,6 @@ def _as_detections(
         track_id=tracks.ids,
         shift_per_px_m=np.zeros((len(tracks), 2)),
         facing_rad=tracks.facing_rad,
+        parts=np.ones(len(tracks), dtype=np.int64),
         lines=moment.lines,
     )

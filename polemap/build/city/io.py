@@ -23,7 +23,7 @@ from polemap.parsing.arrays import read_arrays
 from polemap.parsing.errors import named
 from polemap.parsing.json_text import parse_json
 
-_VERSION = 6
+_VERSION = 7
 _KEY = re.compile("[0-9a-f]{32}")
 
 
