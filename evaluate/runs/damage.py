@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Table = Mapping[str, Floats | list[str]]
 
 # columns of health.csv and output.csv that hold words; numbers stand in all others
-WORDS = frozenset({"gate", "event", "flag", "distrust"})
+WORDS = frozenset({"gate", "event", "flag", "distrust", "lines_suspended"})
 COUNTS = ("reinitializations", "exploration_events", "gate_rejections", "late_dropped")
 _NUMBERS = (*COUNTS, "real_time_factor", "on_poles_from_s")
 _OF_ERRORS = ("lateral_rmse_m", "longitudinal_rmse_m", "yaw_rmse_rad", "nees_mean")
@@ -39,6 +39,10 @@ def check_metrics(path: Path, metrics: Mapping[str, Any]) -> None:
         _check_numbers(path, f"{name}.", _object(path, name, metrics), keys)
     causes = _object(path, "reinitializations_by_cause", metrics)
     _check_numbers(path, "reinitializations_by_cause.", causes, causes)
+    for kind, figures in _object(path, "landmarks_by_kind", metrics).items():
+        if not isinstance(figures, Mapping):
+            raise InputError(f"{path}: landmarks_by_kind.{kind} holds no figures")
+        _check_numbers(path, f"landmarks_by_kind.{kind}.", figures, figures)
     for stage, figures in _object(path, "timing_ms", metrics).items():
         if isinstance(figures, Mapping):
             _check_numbers(path, f"timing_ms.{stage}.", figures, figures)

@@ -295,7 +295,12 @@ def test_output_whose_poses_on_poles_begin_after_the_reference(
 ) -> None:
     run = make_runs(tmp_path, runs=1, laps=2)
     metrics = json.loads((run / "metrics.json").read_text())
+    kerbs = {"in_map": 9, "seen": 40, "matched": 30, "suspensions": 1, "suspended_share": 0.5}
+    metrics["landmarks_by_kind"] = {"kerb": {**kerbs, "residual_rms_m": 0.05}}
     (run / "metrics.json").write_text(json.dumps({**metrics, "on_poles_from_s": 1e6}))
+    header, *rows = (run / "health.csv").read_text().splitlines()
+    names = [f"{row},{'kerb' if number > 3 else ''}" for number, row in enumerate(rows)]
+    (run / "health.csv").write_text("\n".join([f"{header},lines_suspended", *names]) + "\n")
     assert cli.run(["report", str(run), "--out", str(tmp_path / "out")]) == cli.GOOD
     content = json.loads((tmp_path / "out" / "report.json").read_text())
     assert "position_rmse_m" not in content["accuracy"]["synthetic"]["systems"]["kf"]
