@@ -8,8 +8,8 @@ squared distance, per degree of freedom, in bands of range, should be 1. Errors 
 last longer than its track, and those of the poses that are alike for all its frames, do not show.
 `--localize` builds a map of the odd frames and localizes with the even ones, with poles alone and
 with corners; GNSS is there in the first three seconds only and, where its fixes are as good as the
-reference, moved by 1.5 m an axis (standard deviation over the seeds); it ends with the last picture. Needs the recordings; not
-timed as a whole, so `python -m benchmarks` leaves it out.
+reference, moved by 1.5 m an axis (standard deviation over the seeds); it ends with the last
+picture. Needs the recordings; not timed as a whole, so `python -m benchmarks` leaves it out.
 """
 
 from __future__ import annotations
