@@ -10,6 +10,7 @@ KERNELS = {
     for module in (
         "polemap.stereo.native.census_kernel",
         "polemap.localize.particle_filter.native.assignment_kernel",
+        "polemap.localize.particle_filter.native.particle_kernel",
         "polemap.vehicle.native.packed_kernel",
         "polemap.simulate.native.shading_kernel",
         "polemap.detect.native.pieces_kernel",

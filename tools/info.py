@@ -10,16 +10,13 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from polemap.build.history import COLUMN
 from polemap.drivelog.atomic import check_file
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.frames import convergence_rad, geographic_from_grid, point_scale
 from polemap.drivelog.landmark_kind import LandmarkKind, kind_counts
-from polemap.drivelog.readers.bags.describe import describe_topics, write_mapping
 from polemap.drivelog.readers.bags.files import is_log
-from polemap.drivelog.readers.bags.reader import survey
 from polemap.drivelog.readers.registry import open_drive
 from polemap.errors import PolemapError
 from polemap.map.city.city_map import CityMap, statistics_of
@@ -96,6 +93,10 @@ def _describe_log(path: Path, topics: Path | None, write_to: Path | None) -> Non
         return
     if write_to is not None:
         check_file(write_to, (path, topics), (".yaml", ".yml"))
+    # here, since most of what is asked about is no log, and reading this takes a while
+    from polemap.drivelog.readers.bags.describe import describe_topics, write_mapping
+    from polemap.drivelog.readers.bags.reader import survey
+
     index, made = survey(path, topics)
     typer.echo("\n".join(describe_topics(index, made)))
     if write_to is not None:
@@ -272,6 +273,8 @@ def describe_map(pole_map: PoleMap | CityMap, path: Path) -> list[str]:
             along = pole_map.lines.segments
             length = np.hypot(*(along.end_m - along.start_m).T).sum()
             lines.append(f"lines      {kind_counts(pole_map.lines.kind)}, {length:.0f} m")
+    from polemap.build.history import COLUMN  # here: a drive has none
+
     further = [name for name in known.further if name != COLUMN]
     if further:
         lines.append(f"columns    {', '.join(further)}")

@@ -129,13 +129,18 @@ class PfEstimate:
     detector: str = ""
 
 
-def mean_and_covariance(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Weighted mean `(3,)`, with the circular mean of the yaw, and covariance `(3, 3)`."""
-    yaw = poses[:, 2]
+def mean_and_covariance(
+    poses: Floats, weights: Floats, direction: tuple[Floats, Floats] | None = None
+) -> tuple[Floats, Floats]:
+    """Weighted mean `(3,)`, with the circular mean of the yaw, and covariance `(3, 3)`.
+
+    `direction` are sine and cosine of the yaws `(n,)`, where they are known.
+    """
+    sine, cosine = direction or (np.sin(poses[:, 2]), np.cos(poses[:, 2]))
     centre = np.empty(3)
     # about the first pose, so that 1e6 m of northing cost no digits
     centre[:2] = poses[0, :2] + weights @ (poses[:, :2] - poses[0, :2])
-    centre[2] = np.arctan2(weights @ np.sin(yaw), weights @ np.cos(yaw))
+    centre[2] = np.arctan2(weights @ sine, weights @ cosine)
     deviation = poses - centre
     deviation[:, 2] = wrap_angle(deviation[:, 2])
     return centre, (deviation * weights[:, np.newaxis]).T @ deviation

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc
 from polemap.localize.particle_filter.free_motion import FreeMotion
+from polemap.localize.particle_filter.kernels import particle_kernel
 from polemap.localize.particle_filter.odometry_faults import OdometryFaults
 from polemap.vehicle.motion import arc_displacement
 from polemap.vehicle.pose import move_reference_point
@@ -57,13 +58,25 @@ def sample_motion(
     count = len(poses)
     # the rear axle carries the arc; the front axle is put back once, at the end
     moved = move_reference_point(poses, -wheelbase_m) if rear is None else rear.copy()
-    yaw = moved[:, 2]
     along, beside, turning = factors
+    slips = np.broadcast_to(np.asarray(slip_rad_per_mps2, dtype=np.float64), count)
+    sound = np.zeros(count)
     for arc in arcs:
         speed_sd, yaw_rate_sd, turn_sd = noise_of_arc(arc, config)
         noise = rng.standard_normal((4, count))
         # the error of tight turns is not learned where the road is straight
         turn_sd = float(np.hypot(turning * turn_sd, tight_turn_sd(arc, config)))
+        left_sd = beside * config.alpha5_slip_m_per_sqrt_m * np.sqrt(abs(arc.speed_mps) * arc.dt_s)
+        if motion is None and particle_kernel is not None:
+            wrong = faults is not None and arc.speed_mps != 0.0
+            moved = particle_kernel.move_along_arc(
+                moved, noise, slips,
+                faults.speed_share if faults is not None and wrong else sound,
+                faults.rate_radps if faults is not None and wrong else sound,
+                arc.dt_s, arc.speed_mps, arc.yaw_rate_radps,
+                along * speed_sd, turning * yaw_rate_sd, turn_sd, left_sd,
+            )  # fmt: skip
+            continue
         speed: Floats = arc.speed_mps + along * speed_sd * noise[0]
         rate: Floats = arc.yaw_rate_radps + turning * yaw_rate_sd * noise[1]
         if motion is not None:
@@ -76,14 +89,9 @@ def sample_motion(
             rate += faults.rate_radps
         distance = speed * arc.dt_s
         turn = arc.dt_s * rate
-        sideslip = -slip_rad_per_mps2 * (arc.speed_mps * arc.yaw_rate_radps)
-        left = (
-            beside
-            * config.alpha5_slip_m_per_sqrt_m
-            * np.sqrt(abs(arc.speed_mps) * arc.dt_s)
-            * noise[3]
-        )
-        moved[:, :2] += arc_displacement(yaw, distance, turn, sideslip, left)
+        sideslip = -slips * (arc.speed_mps * arc.yaw_rate_radps)
+        yaw = moved[:, 2]
+        moved[:, :2] += arc_displacement(yaw, distance, turn, sideslip, left_sd * noise[3])
         half = 0.5 * turn
         moved[:, 2] = yaw + half + half + turn_sd * noise[2]
     return move_reference_point(moved, wheelbase_m)

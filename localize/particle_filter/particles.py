@@ -65,7 +65,8 @@ class ParticleSet:
     @poses.setter
     def poses(self, poses: Floats) -> None:
         self._poses = _read_only(poses)
-        self._kept.pop("rear", None)
+        for name in ("rear", "sine", "cosine"):
+            self._kept.pop(name, None)
         self._moments = None
 
     @property
@@ -95,10 +96,18 @@ class ParticleSet:
         return self._kept["rear"]
 
     @property
+    def _direction(self) -> tuple[Floats, Floats]:
+        """Sine and cosine of the yaws `(n,)`."""
+        if "sine" not in self._kept:
+            yaw = self.rear[:, 2]
+            self._kept["sine"], self._kept["cosine"] = np.sin(yaw), np.cos(yaw)
+        return self._kept["sine"], self._kept["cosine"]
+
+    @property
     def moments(self) -> tuple[Floats, Floats]:
         """Mean `(3,)` and covariance `(3, 3)` of the rear-axle poses, read-only."""
         if self._moments is None:
-            mean, covariance = mean_and_covariance(self.rear, self.weights)
+            mean, covariance = mean_and_covariance(self.rear, self.weights, self._direction)
             self._moments = _read_only(mean), _read_only(covariance)
         return self._moments
 

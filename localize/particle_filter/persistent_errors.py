@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
+from polemap.localize.particle_filter.kernels import particle_kernel
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.vehicle.kalman import symmetric
 from polemap.vehicle.pose import rotate, rotate_covariance
@@ -125,34 +126,23 @@ class PersistentErrors:
         if share <= 0.0 or not len(mine):
             return
         theirs = assignment[mine]
-        count = len(mine)
-        seen = scan.covariance_m2.reshape(-1, 2, 2)[mine] + max(
-            self.floor_m, _LEAST_FLOOR_M
-        ) ** 2 * np.eye(2)
-        seen = rotate_covariance(seen, pose[2])
-        mapped = landmarks.covariance_m2[theirs][:, [0, 2, 2, 1]].reshape(-1, 2, 2)
-        arm = rotate(scan.points_vehicle_m.reshape(-1, 2)[mine], pose[2])
-        jacobian = np.zeros((count, 2, 3))
-        jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
-        jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
-        flat = jacobian.reshape(-1, 3)
-        across = particles @ flat.T
-        gain = np.linalg.solve(flat @ across + _blocks((seen + mapped) / share), across.T).T
-        kept = np.eye(3) - gain @ flat
         column = self._columns(landmarks.ids[theirs])
-        root = np.linalg.cholesky(_SHARE * seen + mapped)
-        lasting = np.zeros((count, 2, self._poles.shape[1] // 2, 2))
-        lasting[np.arange(count), :, column // 2] = root
-        moved = gain @ lasting.reshape(2 * count, -1)
-        led = kept @ self._poles
-        # neighbouring scans share the other part too, which the power of the scan counts for
-        white = _blocks((1.0 - _SHARE) / share * seen)
-        self.keep(kept)
-        self.covariance = symmetric(
-            self.covariance + gain @ white @ gain.T
-            + moved @ moved.T - led @ moved.T - moved @ led.T
-        )  # fmt: skip
-        self._poles = self._poles - moved
+        step = plain_scan if particle_kernel is None else particle_kernel.add_scan
+        kept, self.covariance, self._poles = step(
+            particles,
+            self.covariance,
+            self._poles,
+            scan.points_vehicle_m.reshape(-1, 2)[mine],
+            scan.covariance_m2.reshape(-1, 2, 2)[mine],
+            landmarks.covariance_m2[theirs],
+            column,
+            float(pose[2]),
+            max(self.floor_m, _LEAST_FLOOR_M) ** 2,
+            share,
+            _SHARE,
+        )
+        self._odometry = kept @ self._odometry
+        self.lines = kept @ self.lines
 
     def keep(self, kept: Floats) -> None:
         """A measurement has left so much `(3, 3)` of the pose's error."""
@@ -174,6 +164,60 @@ class PersistentErrors:
         self._ids = np.array(known + new, dtype=np.int64)
         order = {pole: i for i, pole in enumerate(known + new)}
         return 2 * np.array([order[pole] for pole in ids.tolist()])
+
+
+def plain_scan(
+    particles: Floats,
+    covariance: Floats,
+    poles: Floats,
+    points_m: Floats,
+    seen_m2: Floats,
+    mapped_m2: Floats,
+    column: NDArray[np.int64],
+    yaw_rad: float,
+    floor_m2: float,
+    share: float,
+    lasting_share: float,
+) -> tuple[Floats, Floats, Floats]:
+    """One scan of k matched poles; the kernel computes the same.
+
+    Args:
+        particles: their covariance `(3, 3)` before the scan.
+        covariance: of the pose's error `(3, 3)`.
+        poles: its covariances `(3, m)` with the errors of the poles.
+        points_m: `(k, 2)` where they are seen, vehicle frame.
+        seen_m2: `(k, 2, 2)` covariances of that, vehicle frame.
+        mapped_m2: `(k, 3)` var east, var north, covariance in the map.
+        column: `(k,)` first columns of their errors in `poles`.
+        floor_m2: variance besides `seen_m2`.
+        share: power that the scan's likelihood was raised to.
+        lasting_share: of the variance of a seen position, what stays with the pole.
+
+    Returns:
+        What is left of the pose's error `(3, 3)`; covariance and poles after the scan.
+    """
+    count = len(points_m)
+    seen = rotate_covariance(seen_m2 + floor_m2 * np.eye(2), yaw_rad)
+    mapped = mapped_m2[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    arm = rotate(points_m, yaw_rad)
+    jacobian = np.zeros((count, 2, 3))
+    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
+    jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    flat = jacobian.reshape(-1, 3)
+    across = particles @ flat.T
+    gain = np.linalg.solve(flat @ across + _blocks((seen + mapped) / share), across.T).T
+    kept = np.eye(3) - gain @ flat
+    lasting = np.zeros((count, 2, poles.shape[1] // 2, 2))
+    lasting[np.arange(count), :, column // 2] = np.linalg.cholesky(lasting_share * seen + mapped)
+    moved = gain @ lasting.reshape(2 * count, -1)
+    led = kept @ poles
+    # neighbouring scans share the other part too, which the power of the scan counts for
+    white = _blocks((1.0 - lasting_share) / share * seen)
+    after = symmetric(
+        kept @ covariance @ kept.T + gain @ white @ gain.T
+        + moved @ moved.T - led @ moved.T - moved @ led.T
+    )  # fmt: skip
+    return kept, after, led - moved
 
 
 def _blocks(matrices: Floats) -> Floats:

@@ -8,11 +8,13 @@ import pytest
 from polemap.drivelog.samples import OdometrySample
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc, OdometryHistory
+from polemap.localize.particle_filter import motion_model
 from polemap.localize.particle_filter.motion_model import (
     noise_of_arc,
     sample_motion,
     tight_turn_sd,
 )
+from polemap.localize.particle_filter.odometry_faults import OdometryFaults
 from polemap.vehicle.motion import move_along_arc
 from polemap.vehicle.pose import move_reference_point
 
@@ -151,3 +153,26 @@ def test_old_samples_are_forgotten_without_a_jump() -> None:
     assert len(history) < 200 * 20
     step = history.odometry_pose(400.0) - history.odometry_pose(350.0)
     np.testing.assert_allclose(step, [250.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_the_kernel_moves_particles_as_plain_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    if motion_model.particle_kernel is None:
+        pytest.skip("the kernel was not built here")
+    rng = np.random.default_rng(5)
+    poses = rng.normal(0.0, [1e5, 1e6, 2.0], (300, 3))
+    slips, faults = np.abs(rng.normal(0.0, 0.005, 300)), OdometryFaults(300, rng)
+    for _ in range(20):
+        faults.step(0.5, 3.0, 0.4)
+    assert faults.faulty.any()
+    arcs = [Arc(0.06, 9.0, 0.3, 0.0), Arc(0.02, 0.0, 0.0, 0.0), Arc(0.05, -2.0, 0.0, 0.0)]
+    moved = []
+    for kernel in (motion_model.particle_kernel, None):
+        monkeypatch.setattr(motion_model, "particle_kernel", kernel)
+        moved.append(
+            sample_motion(
+                poses, arcs, 2.7, LocalizeConfig(), np.random.default_rng(1), slips,
+                (0.8, 1.2, 0.9), faults=faults,
+            )
+        )  # fmt: skip
+    # the same bits where products and sums are not fused
+    np.testing.assert_allclose(moved[0], moved[1], rtol=1e-14)

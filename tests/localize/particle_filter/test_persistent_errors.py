@@ -10,8 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polemap.drivelog.detections import Detections, pole_detections
+from polemap.localize.particle_filter.kernels import particle_kernel
 from polemap.localize.particle_filter.landmarks import Landmarks
-from polemap.localize.particle_filter.persistent_errors import PersistentErrors, at_least
+from polemap.localize.particle_filter.persistent_errors import (
+    PersistentErrors,
+    at_least,
+    plain_scan,
+)
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -167,3 +172,23 @@ def test_neither_covariance_is_undercut(seed: int) -> None:
         assert np.linalg.eigvalsh(joined - below)[0] > -1e-9
     np.testing.assert_allclose(at_least(a, 0.5 * a), a)
     np.testing.assert_allclose(at_least(a, 2.0 * a), 2.0 * a, rtol=1e-5)
+
+
+@pytest.mark.skipif(particle_kernel is None, reason="the kernel was not built here")
+@pytest.mark.parametrize("count", [1, 5, 14])
+def test_the_kernel_equals_plain_numpy(count: int) -> None:
+    assert particle_kernel is not None
+    rng = np.random.default_rng(count)
+    root, error = rng.normal(0.0, 0.3, (3, 3)), rng.normal(0.0, 0.2, (3, 3))
+    seen, mapped = rng.normal(0.0, 0.2, (2, count, 2, 2))
+    mapped = mapped @ np.swapaxes(mapped, 1, 2) + 0.01 * np.eye(2)
+    scan = (
+        root @ root.T + 0.01 * np.eye(3), error @ error.T, rng.normal(0.0, 0.1, (3, 2 * 16)),
+        rng.uniform(-30.0, 30.0, (count, 2)), seen @ np.swapaxes(seen, 1, 2),
+        np.stack([mapped[:, 0, 0], mapped[:, 1, 1], mapped[:, 0, 1]], axis=1),
+        2 * rng.permutation(16)[:count], 2.2, 0.02, 0.3, 0.5,
+    )  # fmt: skip
+    for fast, plain in zip(particle_kernel.add_scan(*scan), plain_scan(*scan), strict=True):
+        np.testing.assert_allclose(fast, plain, rtol=1e-9, atol=1e-12)
+    with pytest.raises(ValueError, match="columns has the wrong shape"):
+        particle_kernel.add_scan(*scan[:6], np.full(count, 31), *scan[7:])
