@@ -20,8 +20,16 @@ COLUMNS = (
     "frame", "stamp_s", "kind", "style", "x0_m", "y0_m", "x1_m", "y1_m", "offset_sd_m",
     "direction_sd_rad", "probability",
 )  # fmt: skip
-COLOURS = {LandmarkKind.LANE_MARKING: (0, 215, 255), LandmarkKind.KERB: (255, 90, 0)}
-_NAMES = {LandmarkKind.LANE_MARKING: "lane markings", LandmarkKind.KERB: "kerbs"}
+COLOURS = {
+    LandmarkKind.LANE_MARKING: (0, 215, 255),
+    LandmarkKind.KERB: (255, 90, 0),
+    LandmarkKind.FACADE: (200, 60, 200),
+}
+_NAMES = {
+    LandmarkKind.LANE_MARKING: "lane markings",
+    LandmarkKind.KERB: "kerbs",
+    LandmarkKind.FACADE: "facades",
+}
 
 
 def line_rows(perceived: PerceivedFrame) -> list[list[Any]]:

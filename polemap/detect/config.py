@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from polemap.drivelog.landmark_kind import LandmarkKind
 
-KindName = Literal["pole", "corner", "lane_marking", "kerb"]
+KindName = Literal["pole", "corner", "lane_marking", "kerb", "facade"]
 
 
 class DetectionConfig(BaseModel):

@@ -1,1 +1,1 @@
-"""Lines on the ground of one frame: lane markings and kerbs."""
+"""Lines of one frame: lane markings, kerbs, and facades in plan."""

@@ -1,4 +1,7 @@
-"""Lines of one frame: road from above -> points of stripes and steps -> pieces -> table."""
+"""Lines of one frame: road from above -> points of stripes and steps -> pieces -> table.
+
+Facades come from the disparities of whole columns (`facades.py`).
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,11 @@ from numpy.typing import NDArray
 
 from polemap.detect.constants import DISPARITY_SD_PX
 from polemap.detect.ground import Ground
+from polemap.detect.lines.facades import facade_lines
 from polemap.detect.lines.kerbs import HEIGHT_SD_PX, kerb_points
 from polemap.detect.lines.markings import MarkingPoints, marking_points
 from polemap.detect.lines.pieces import CLEAR_M, SHORT, Piece, straight_pieces
-from polemap.detect.lines.road_frame import RoadFrame, view_road
+from polemap.detect.lines.road_frame import RoadFrame, RoadView, view_road
 from polemap.detect.lines.styles import line_styles
 from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle
 from polemap.drivelog.line_detections import LineDetections
@@ -24,6 +28,7 @@ Floats = NDArray[np.float64]
 
 OFFSET_SD_MAX_M = 0.2  # what is known worse helps nobody
 PROBABILITY_MIN = 0.4
+_ROAD_KINDS = frozenset({LandmarkKind.LANE_MARKING, LandmarkKind.KERB})
 _OFFSET_SD_M = {LandmarkKind.LANE_MARKING: 0.025, LandmarkKind.KERB: 0.03}
 _DIRECTION_SD_RAD = {LandmarkKind.LANE_MARKING: 0.005, LandmarkKind.KERB: 0.008}
 _STRIPE_SD_M = 0.02  # of a row's middle: few rows may agree by chance
@@ -51,18 +56,29 @@ def find_lines(
     rig: StereoRig,
     kinds: frozenset[LandmarkKind],
 ) -> LineDetections | None:
-    """Markings and kerbs of one frame; None where the road's plane is not seen.
+    """Markings, kerbs and facades of one frame; None where the road's plane is not seen.
 
     Args:
         image: the left image `(height, width)`.
         maps: its disparities.
         ground: the road as a plane.
         rig: the camera.
-        kinds: what is looked for, of `LANE_MARKING` and `KERB`.
+        kinds: what is looked for, of `LINE_KINDS`.
     """
     if not ground.fitted:
         return None
-    view = view_road(image, maps, ground, rig)
+    parts = []
+    if kinds & _ROAD_KINDS:
+        parts.append(_road_lines(view_road(image, maps, ground, rig), maps, kinds))
+    if LandmarkKind.FACADE in kinds:
+        parts.append(_well_known(facade_lines(maps, ground, rig)))
+    return LineDetections.concatenate(parts)
+
+
+def _road_lines(
+    view: RoadView, maps: UprightMaps, kinds: frozenset[LandmarkKind]
+) -> LineDetections:
+    """Markings and kerbs."""
     found = []
     kerbs: list[Piece] = []
     steps: list[float] = []
@@ -155,7 +171,13 @@ def _table(found: list[_Found], frame: RoadFrame) -> LineDetections:
         direction_sd_rad=direction_sd,
         probability=np.array([p for f in found for p in f.probability]),
     )
-    return lines.take((offset_sd <= OFFSET_SD_MAX_M) & (lines.probability >= PROBABILITY_MIN))
+    return _well_known(lines)
+
+
+def _well_known(lines: LineDetections) -> LineDetections:
+    return lines.take(
+        (lines.offset_sd_m <= OFFSET_SD_MAX_M) & (lines.probability >= PROBABILITY_MIN)
+    )
 
 
 def _deviations(
