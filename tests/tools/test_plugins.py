@@ -119,7 +119,7 @@ def test_a_matcher(target: Path, tmp_path: Path) -> None:
 def test_an_estimator(target: Path, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(LOG)
     words = ["estimate", tmp_path / "log.csv", "--vehicle", "passat", "--out", tmp_path / "e.csv",
-             "--estimator"]  # fmt: skip
+             "--no-page", "--estimator"]  # fmt: skip
     done = polemap(target, *words, "yard_still")
     assert done.returncode == 0, done.stderr
     first = (tmp_path / "e.csv").read_text().splitlines()[0]
