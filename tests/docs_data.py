@@ -41,7 +41,7 @@ STREET = {
     ],
     "drive": {"speed_mps": 7.0, "standstill_s": 0.5},
 }
-CAMERA = CameraConfig(width_px=320, height_px=200, focal_px=342.0, frame_rate_hz=4.0)
+CAMERA = CameraConfig(width_px=320, height_px=200, focal_px=342.0, frame_rate_hz=3.0)
 SETTINGS = SimulateConfig(camera=CAMERA, render=RenderConfig(workers=1, shadows=False))
 
 

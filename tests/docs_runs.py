@@ -94,6 +94,11 @@ SHORTER = (
     (r"^(polemap simulate (?!.*--scans).*)$", rf"\1 {SMALL}"),
     (rf"^(polemap simulate) (?:{'|'.join(scenario_names())})(?= (?!.*--scans))", r"\1 block.yaml"),
     (r"^(polemap (?:view|report|localize(?! --follow)) .*)$", r"\1 --workers 1"),
+    # what a command takes and writes depends on neither
+    (
+        r"^(polemap localize (?!--follow).*)$",
+        r"\1 --set localize.particles=300 --set localize.output.rate_hz=25",
+    ),
     (r"--workers 8", "--workers 1"),
     (r"--runs \d+\b", "--runs 2"),
     (r"--identify 150:250", "--identify 150:155"),

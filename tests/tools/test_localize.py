@@ -13,7 +13,7 @@ from polemap.map.io import write_map
 from polemap.tools import cli
 from tests.localize.point_drives import street_drive
 
-FEW = ["--set", "localize.particles=150"]
+FEW = ["--set", "localize.particles=150", "--set", "localize.output.rate_hz=20"]
 
 
 @pytest.fixture(scope="module")

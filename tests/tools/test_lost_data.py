@@ -17,7 +17,7 @@ from polemap.map.io import write_map
 from polemap.tools import cli
 from tests.localize.point_drives import street_drive
 
-FEW = ["--set", "localize.particles=150"]
+FEW = ["--set", "localize.particles=150", "--set", "localize.output.rate_hz=20"]
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +254,7 @@ def test_a_folder_with_a_marker_of_no_content_is_kept(place: Path) -> None:
 
 def test_a_report_is_replaced_whole_and_keeps_its_cache(place: Path) -> None:
     words = ["report", "in/run", "--out", "page"]
-    sweep = ["--sweep", "particles=100,150", "--sweep-runs", "1", "--workers", "1"]
+    sweep = ["--sweep", "particles=50,150", "--sweep-runs", "1", "--workers", "1"]
     assert cli.run([*words, *sweep]) == cli.GOOD
     kept = contents(place / "page" / "cache")
     assert kept

@@ -18,6 +18,8 @@ from tests.drivelog.plausibility.made import EAST_M, NORTH_M, clean_drive, with_
 from tests.pole_maps import plain_map
 
 Written = Callable[[str, Drive], Path]
+# what is said of the input depends on neither
+FEW = ["--set", "localize.particles=100", "--set", "localize.output.rate_hz=20"]
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +86,7 @@ def test_errors_refuse_and_force_goes_on(
     wrong = str(written("wrong", _wrong(clean)))
     out = tmp_path / ("new.gpkg" if command == "map" else "run")
     arguments = [command, wrong, "--out", str(out)]
-    arguments += ["--map", str(pole_map)] if command == "localize" else []
+    arguments += ["--map", str(pole_map), *FEW] if command == "localize" else []
     assert run(arguments) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
@@ -121,6 +123,7 @@ def test_localize_ends_with_a_verdict_and_what_was_left_out(
     with (path / "odometry.csv").open("a", encoding="utf-8") as file:
         file.write("24.99,nan,0.0,25.0\n")
     arguments = ["localize", str(path), "--map", str(pole_map), "--out", str(tmp_path / "run")]
+    arguments += FEW
     assert run(arguments) == 0
     said = capsys.readouterr().out
     assert "verdict: " in said
