@@ -63,7 +63,9 @@ def test_every_choice_goes_through_map_and_localize(
     motion = ("--odometry", choice)
     kept = ("--cache", street.parent / "kept", "--workers", "1", *motion)
     out = tmp_path / "map.gpkg"
-    assert note in _run(capsys, "detect", street, "--out", tmp_path / "seen", *motion)
+    assert note in _run(
+        capsys, "detect", street, "--out", tmp_path / "seen", "--frames", "0:6", *motion
+    )
     assert note in _run(capsys, "map", street, "--out", out, *motion)
     assert note in _run(capsys, "localize", street, "--map", out, "--out", tmp_path / "run", *kept)
     metrics = json.loads((tmp_path / "run/metrics.json").read_text(encoding="utf-8"))

@@ -59,7 +59,7 @@ def test_a_closed_loop_runs_behind_one_estimator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "margins"
-    arguments = ["study", "w14-margins", "--estimator", "bicycle", "--out", str(out)]
+    arguments = ["study", "w14-margins", "--estimator", "bicycle", "--no-page", "--out", str(out)]
     assert cli.run(arguments) == cli.GOOD
     assert "estimator in the loop: bicycle" in capsys.readouterr().out
     figures = json.loads((out / "W14-margins.json").read_text("utf-8"))

@@ -120,7 +120,7 @@ def test_figures_of_an_earlier_map_go(tmp_path: Path) -> None:
 
 
 def test_the_page_has_a_section(make_runs: Maker, tmp_path: Path) -> None:
-    runs = make_runs(tmp_path / "runs")
+    runs = make_runs(tmp_path / "runs", runs=1, laps=2)
     config = next(iter(runs.rglob("config.yaml")))
     place = Path(yaml.safe_load(config.read_text())["map"])
     write_figures(place, summary(drive(), drive("van", fixes=0)))
