@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.drivelog.detections import Detections
 from polemap.drivelog.drive import Drive
 from polemap.drivelog.findings import Finding
 from polemap.drivelog.plausibility.clocks import Lag, find_lag
@@ -35,10 +36,17 @@ def stamps_of(drive: Drive) -> dict[str, Floats]:
         drive.names.reference: drive.reference.stamp_s
         if drive.reference is not None
         else np.empty(0),
-        drive.names.poles: np.array([scan.stamp_s for scan in drive.scans]),
+        drive.names.poles: np.array(
+            [scan.stamp_s for scan in drive.scans if len(scan) or not _holds_lines(scan)]
+        ),
+        drive.names.lines: np.array([scan.stamp_s for scan in drive.scans if _holds_lines(scan)]),
         drive.names.frames: drive.frame_stamps_s,
     }
     return {name: stamps for name, stamps in streams.items() if len(stamps)}
+
+
+def _holds_lines(scan: Detections) -> bool:
+    return scan.lines is not None and len(scan.lines) > 0
 
 
 def rate_findings(drive: Drive) -> list[Finding]:

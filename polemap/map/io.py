@@ -11,6 +11,7 @@ import os
 import sqlite3
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,14 @@ def _check_replaceable(path: Path) -> None:
     check_signature(path)
     if path.suffix.lower() == ".gpkg":
         check_layers(path)
+    if path.suffix.lower() in (".geojson", ".json") and path.is_file():
+        with suppress(InputError, ParsingError):  # what cannot be read was checked above
+            others = geojson.foreign_features(read_json(path))
+            if others:
+                raise OutputError(
+                    f"{path}: holds {others} features that are no landmarks, and would lose them; "
+                    "name another file"
+                )
 
 
 def export_map(pole_map: PoleMap, path: Path) -> None:

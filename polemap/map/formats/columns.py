@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
-from polemap.map.pole_map import PoleMap
+from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind
+from polemap.map.pole_map import KIND_COLUMN, PoleMap
 
 Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
@@ -73,6 +74,10 @@ def from_columns(
     covariance, assumed = _covariance(numbers, n)
     if assumed and n:
         notes = (*notes, f"{assumed} poles have no covariance: {DEFAULT_SD_M} m an axis is assumed")
+    extra = dict(extra or {})
+    if KIND_COLUMN in extra:
+        extra[KIND_COLUMN], of_kinds = kinds_of(extra[KIND_COLUMN])
+        notes = (*notes, *of_kinds)
     unknown = np.full(n, np.nan)
     existence = _default(numbers["existence"], np.full(n, DEFAULT_EXISTENCE))
     return PoleMap(
@@ -85,9 +90,36 @@ def from_columns(
         observations=_default(numbers["observations"], np.zeros(n, dtype=np.int64)),
         drives=_default(numbers["drives"], np.zeros(n, dtype=np.int64)),
         existence=_filled(existence, DEFAULT_EXISTENCE),
-        extra=dict(extra or {}),
+        extra=extra,
         notes=notes,
     )
+
+
+def kinds_of(column: NDArray[Any]) -> tuple[NDArray[Any], list[str]]:
+    """The column of kinds as numbers: names are read, what was added without one is a pole.
+
+    Raises:
+        InputError: a word that names no kind of points.
+    """
+    if column.dtype.kind in "iu":
+        return column, []
+    known = {kind.name.lower(): float(kind) for kind in sorted(POINT_KINDS)}
+    numbers = np.zeros(len(column))
+    for row, value in enumerate(column.tolist()):
+        text = "" if value is None else str(value).strip().lower()
+        number = known.get(text, _number(text))
+        if number is None:
+            raise InputError(
+                f"pole map: {KIND_COLUMN} holds '{text[:40]}'; write one of {', '.join(known)}, "
+                "or leave it empty for a pole"
+            )
+        numbers[row] = number
+    lacking = np.isnan(numbers)
+    numbers[lacking] = float(LandmarkKind.POLE)
+    count = int(np.count_nonzero(lacking))
+    said = [f"{count} landmarks have no {KIND_COLUMN}: they are taken for poles"] if count else []
+    whole = bool((numbers == np.round(numbers)).all())
+    return numbers.astype(np.int64) if whole and (np.abs(numbers) < 128).all() else numbers, said
 
 
 def numbers_of(name: str, texts: NDArray[np.str_]) -> tuple[NDArray[Any], list[str]]:

@@ -27,7 +27,7 @@ from polemap.drivelog.frames import (
 from polemap.map.formats.columns import KNOWN, from_columns, numbers_of, to_columns
 from polemap.map.formats.lines import are_ours, from_features, properties_of
 from polemap.map.line_map import LineMap
-from polemap.map.pole_map import PoleMap
+from polemap.map.pole_map import KIND_COLUMN, PoleMap
 
 Floats = NDArray[np.float64]
 # further than the earth reaches round
@@ -103,8 +103,7 @@ def _lines_of(
     for row, feature in enumerate(features):
         if not _is_line(feature):
             continue
-        coordinates = _geometry(feature).get("coordinates")
-        parts = coordinates if isinstance(coordinates, list) else []
+        parts = _vertices(feature, row)
         places = np.array([_position(part, row) for part in parts], np.float64).reshape(-1, 2)
         if frame.is_utm and len(places):
             places = _in_wgs84(system, places)[0]
@@ -128,8 +127,25 @@ def _lines_of(
 def _is_line(feature: Any) -> bool:
     """Whether a feature is a line of a map; other lines are left out as other shapes are."""
     told = feature.get("properties") if isinstance(feature, dict) else None
-    ours = isinstance(told, dict) and are_ours(told)
-    return ours and _geometry(feature).get("type") == "LineString"
+    return isinstance(told, dict) and are_ours(told)
+
+
+def _vertices(feature: Any, row: int) -> list[Any]:
+    """Positions of a line; a GIS writes each as a multiline of one part.
+
+    Raises:
+        InputError: another shape, or several parts.
+    """
+    geometry = _geometry(feature)
+    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if kind == "MultiLineString" and isinstance(coordinates, list) and len(coordinates) == 1:
+        kind, coordinates = "LineString", coordinates[0]
+    if kind != "LineString" or not isinstance(coordinates, list):
+        raise InputError(
+            f"feature {row}: a line landmark whose shape is {str(kind)[:40]}; draw it as one line, "
+            "or delete it"
+        )
+    return coordinates
 
 
 def _plain(column: NDArray[Any]) -> list[Any]:
@@ -137,6 +153,17 @@ def _plain(column: NDArray[Any]) -> list[Any]:
     if column.dtype.kind == "f":
         return [value if math.isfinite(value) else None for value in column.astype(float).tolist()]
     return list(column.tolist())
+
+
+def foreign_features(document: Any) -> int:
+    """How many features of a document a map would not hold: neither points nor its own lines."""
+    features = document.get("features") if isinstance(document, dict) else None
+    kinds = [
+        _geometry(one).get("type")
+        for one in (features if isinstance(features, list) else [])
+        if not _is_line(one)
+    ]
+    return sum(kind not in ("Point", "MultiPoint") for kind in kinds)
 
 
 def from_document(document: Any, frame: EarthFrame | None) -> PoleMap:
@@ -227,6 +254,12 @@ def _in_wgs84(member: Any, positions: Floats) -> tuple[Floats, tuple[str, ...]]:
         move = Transformer.from_crs(system, WGS84, always_xy=True)
     except ProjError as error:
         raise InputError(f"its reference system '{name[:40]}' cannot be read") from error
+    degrees = len(positions) > 0 and bool((np.abs(positions) <= (180.0, 90.0)).all())
+    if system.is_projected and degrees and np.ptp(positions, axis=0).max() < 1.0:
+        raise InputError(
+            f"its member crs names '{name[:40]}', in metres, and its positions are degrees; "
+            "delete that member"
+        )
     moved = np.stack(move.transform(positions[:, 0], positions[:, 1]), axis=1)
     if not np.isfinite(moved).all():
         raise InputError(f"positions have no place in its reference system '{name[:40]}'")
@@ -335,8 +368,8 @@ def _build(
         if numeric:
             whole = all(isinstance(value, int) for value in column)
             values = np.array(column, dtype=np.int64 if whole else np.float64)
-        elif all(isinstance(value, str) for value in column):
-            values = np.array(column, dtype=np.str_)
+        elif name == KIND_COLUMN or all(isinstance(value, str) for value in column):
+            values = np.array(["" if v is None else str(v) for v in column], dtype=np.str_)
         else:
             continue
         (columns if name in KNOWN else extra)[name] = values

@@ -19,14 +19,14 @@ from polemap.parsing.json_text import parse_json
 Floats = NDArray[np.float64]
 
 LINES = "lines"
-_MARKS = frozenset({"kind", "style", "vertex_sd_m"})
+_MARKS, _DEVIATIONS = frozenset({"kind", "style"}), frozenset({"vertex_sd_m", "sd_m"})
 _KINDS = {kind.name.lower(): kind for kind in LINE_KINDS}
 _STYLES = {style.name.lower(): style for style in LineStyle}
 
 
 def are_ours(names: Collection[str]) -> bool:
     """Whether columns or properties are those of a map's lines; streets of a GIS have others."""
-    return set(names) >= _MARKS
+    return set(names) >= _MARKS and not _DEVIATIONS.isdisjoint(names)
 
 
 def properties_of(lines: LineMap) -> list[dict[str, Any]]:
@@ -94,7 +94,8 @@ def _row(points: Floats, told: Mapping[str, Any]) -> tuple[Any, ...]:
         existence = float(told["existence"])
     except (ParsingError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise InputError(
-            f"{name}: id, observations, drives, existence and sd_m must be numbers ({error})"
+            f"{name}: id, observations, drives, existence and sd_m must be numbers, vertex_sd_m a "
+            f"list of them ({error})"
         ) from error
     if not all(0 <= number < 2**63 for number in numbers):
         raise InputError(

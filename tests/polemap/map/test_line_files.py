@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import geopandas
 import numpy as np
@@ -220,3 +222,81 @@ def test_lines_in_another_system_and_moved_by_hand(tmp_path: Path) -> None:
     document["features"][1]["geometry"]["coordinates"][0][0] += 5.0
     path.write_text(json.dumps(document))
     assert any(note.startswith("1 lines do not run through") for note in read_map(path).notes)
+
+
+def _edited(path: Path, edit: Callable[[list[dict[str, Any]]], None]) -> None:
+    """A GeoJSON of one pole and two lines, changed as another program would."""
+    write_map(_map(UTM, PLACE), path)
+    document = json.loads(path.read_text())
+    edit(document["features"])
+    path.write_text(json.dumps(document))
+
+
+def _as_multilines(features: list[dict[str, Any]]) -> None:
+    for feature in features[1:]:
+        shape = feature["geometry"]
+        feature["geometry"] = {"type": "MultiLineString", "coordinates": [shape["coordinates"]]}
+
+
+def test_multilines_of_a_geojson_are_lines(tmp_path: Path) -> None:
+    path = tmp_path / "m.geojson"
+    _edited(path, _as_multilines)
+    again, made = read_map(path).lines, _map(UTM, PLACE).lines
+    assert again is not None
+    assert made is not None
+    np.testing.assert_allclose(again.vertices_m, made.vertices_m, atol=0.001)
+
+
+@pytest.mark.parametrize("geometry", [None, {"type": "Polygon", "coordinates": []}])
+def test_a_line_landmark_of_another_shape_is_refused(tmp_path: Path, geometry: Any) -> None:
+    path = tmp_path / "m.geojson"
+    _edited(path, lambda features: features[1].update(geometry=geometry))
+    with pytest.raises(InputError, match=r"feature 1: a line landmark whose shape is .*delete it"):
+        read_map(path)
+
+
+def test_what_else_a_geojson_holds_is_never_lost(tmp_path: Path) -> None:
+    path = tmp_path / "m.geojson"
+    park = {"type": "Polygon", "coordinates": [[[0, 0], [0, 1], [1, 1], [0, 0]]]}
+    _edited(path, lambda f: f.append({"type": "Feature", "geometry": park, "properties": {}}))
+    before = path.read_bytes()
+    with pytest.raises(OutputError, match="holds 1 features that are no landmarks"):
+        write_map(_map(UTM, PLACE), path)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "kinds", "said"),
+    [(["corner", None], [1, 0], "1 landmarks have no landmark_kind"), ([None, 1], [0, 1], "1 land"),
+     (["hedge", "pole"], None, "holds 'hedge'; write one of pole, corner")],
+)  # fmt: skip
+@pytest.mark.parametrize("ending", ["geojson", "gpkg"])
+def test_kinds_of_points_in_words_or_none(
+    tmp_path: Path, ending: str, words: list[Any], kinds: list[int] | None, said: str
+) -> None:
+    path = tmp_path / f"m.{ending}"
+    points = geopandas.GeoDataFrame(
+        {"id": [4, 5], "existence": [0.9, 0.9], KIND_COLUMN: words},
+        geometry=shapely.points([PLACE, np.array(PLACE) + 9.0]), crs=32633,
+    )  # fmt: skip
+    pyogrio.write_dataframe(
+        points.to_crs(4326) if ending == "geojson" else points,
+        path, driver={"geojson": "GeoJSON", "gpkg": "GPKG"}[ending], layer="poles",
+    )  # fmt: skip
+    if kinds is None:
+        with pytest.raises(InputError, match=said):
+            read_map(path)
+        return
+    read = read_map(path)
+    assert read.kind.tolist() == kinds
+    assert any(note.startswith(said) for note in read.notes)
+
+
+def test_degrees_in_a_system_of_metres_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.geojson"
+    write_map(_map(UTM, PLACE), path)
+    document = json.loads(path.read_text())
+    document["crs"] = {"type": "name", "properties": {"name": "EPSG:32633"}}
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="in metres, and its positions are degrees; delete"):
+        read_map(path)
