@@ -92,7 +92,10 @@ def first_problem(error: ValidationError, settings: type[BaseModel]) -> str:
         text = f"unknown key '{key}'; known here: {', '.join(model.model_fields)}"
         near = get_close_matches(key, _keys(settings), n=1)
         return f"{text}; did you mean '{near[0]}'?" if near else text
-    return f"{key} = {repr(first.get('input'))[:60]}: {first['msg'].lower()}"
+    text = f"{key} = {repr(first.get('input'))[:60]}: {first['msg'].lower()}"
+    if first["type"] == "tuple_type" and isinstance(first.get("input"), str):
+        text += f"; a list stands in brackets, as in [{first['input'][:60]}]"
+    return text
 
 
 def _keys(model: type[BaseModel], section: str = "") -> Iterator[str]:

@@ -93,6 +93,7 @@ SMALL = (
 SHORTER = (
     (r"^(polemap simulate (?!.*--scans).*)$", rf"\1 {SMALL}"),
     (rf"^(polemap simulate) (?:{'|'.join(scenario_names())})(?= (?!.*--scans))", r"\1 block.yaml"),
+    (r"^(polemap simulate) residential(?= --scans)", r"\1 block.yaml"),
     (r"^(polemap (?:view|report|localize(?! --follow)) .*)$", r"\1 --workers 1"),
     # what a command takes and writes depends on neither
     (

@@ -9,6 +9,7 @@ import typer
 
 from polemap.build.map_diff import CHANGE, DISTANCE, compare_maps, diff_map
 from polemap.drivelog.errors import InputError
+from polemap.drivelog.landmark_kind import kind_name
 from polemap.drivelog.readers.registry import open_drive
 from polemap.map.io import check_writable, export_map, read_map, write_map
 
@@ -39,7 +40,22 @@ def compare(maps: list[Path], out: Path | None, align: bool) -> None:
         distance = changes.extra[DISTANCE][row]
         far = f" by {distance:.2f} m" if np.isfinite(distance) else ""
         change = changes.extra[CHANGE][row]
-        typer.echo(f"{change:<8} pole {changes.ids[row]} at {east:.2f}, {north:.2f}{far}")
+        name = kind_name(changes.kind[row])
+        typer.echo(f"{change:<8} {name} {changes.ids[row]} at {east:.2f}, {north:.2f}{far}")
+    if before.lines is not None or after.lines is not None:
+        typer.echo(
+            f"lines: {len(found.lines_added)} added, {len(found.lines_removed)} removed, "
+            f"{found.lines_same} as before"
+        )
+    for lines, rows, change in (
+        (before.lines, found.lines_removed, "removed"), (after.lines, found.lines_added, "added"),
+    ):  # fmt: skip
+        if lines is None:
+            continue
+        for row in rows.tolist():
+            east, north = lines.polyline_m(row)[0]
+            name = kind_name(lines.kind[row])
+            typer.echo(f"{change:<8} {name} {lines.ids[row]} from {east:.2f}, {north:.2f}")
 
 
 def convert_map(

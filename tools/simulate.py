@@ -70,6 +70,11 @@ def command(
         )
     if scans and layout != "folder":
         raise ConfigError(f"simulate: --format {layout} has no place for --scans; use folder")
+    if settings.simulate.further_kinds and not scans:
+        raise ConfigError(
+            "simulate: simulate.further_kinds says what --scans hold, which is missing; add it, or "
+            "leave the setting out (what pictures show is found by polemap.detection.kinds)"
+        )
     _simulate(
         scenario,
         out,

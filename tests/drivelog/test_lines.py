@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.drivelog.landmark_kind import LandmarkKind, LineStyle
 from polemap.drivelog.line_detections import LineDetections, line_detections
 from polemap.drivelog.plausibility.lines import line_findings
+from polemap.drivelog.plausibility.time import overlap_findings
 from polemap.drivelog.readers.folder import reader
 from polemap.drivelog.writers.folder import write_drive
 
@@ -162,3 +164,20 @@ def test_other_units_are_found(column: str, factor: float, kind: str) -> None:
 
     scans = tuple(replace(scan, lines=spoilt(scan.lines)) for scan in drive.scans)
     assert [found.kind for found in line_findings(replace(drive, scans=scans))] == [kind]
+
+
+@pytest.mark.parametrize(
+    ("stamp", "kind"),
+    [(lambda t: t + 1.7e9, "clock_apart"), (lambda t: 1e3 * t, "stamp_unit"), (lambda t: t, None)],
+)  # fmt: skip
+def test_lines_of_another_clock_are_found(
+    tmp_path: Path, stamp: Callable[[float], float], kind: str | None
+) -> None:
+    times = np.arange(2.0, 42.0, 0.1).tolist()
+    odometry = ["stamp_s,speed_mps,yaw_rate_radps", *(f"{t:.2f},5.0,0.01" for t in times)]
+    lines = [COLUMNS, *(f"{stamp(t):.3f},{KERB}" for t in times)]
+    text = {"odometry": "\n".join(odometry) + "\n", "lines": "\n".join(lines) + "\n"}
+    found = overlap_findings(reader.read(_folder(tmp_path, **text)))
+    assert [(f.kind, f.severity, f.stream) for f in found] == (
+        [(kind, "error", "lines.csv")] if kind else []
+    )
