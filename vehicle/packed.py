@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.vehicle.kalman import innovate, joseph_update
+
 Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]
 Mean = tuple[float, float, float, float, float, float, float, float, float]
@@ -325,3 +327,26 @@ def update_by_two(
         fix_e + k7 * residual,
         fix_n + k8 * residual,
     ), new
+
+
+def update_by_pair(
+    mean: Mean,
+    upper: Upper,
+    row_one: Mean,
+    row_two: Mean,
+    residual_one: float,
+    residual_two: float,
+    variance: float,
+) -> tuple[float, Mean, Upper]:
+    """NIS of two measurements, and state and covariance after a Joseph update by both.
+
+    Args:
+        row_one, row_two: of the measurements' Jacobian.
+        residual_one, residual_two: measured minus predicted.
+        variance: of either.
+    """
+    covariance, jacobian = unpack(upper), np.array([row_one, row_two])
+    noise = variance * np.eye(2)
+    found = innovate(np.array([residual_one, residual_two]), covariance, jacobian, noise)
+    after, updated = joseph_update(np.array(mean), covariance, found, jacobian, noise)
+    return found.nis, as_mean(after), pack(updated)

@@ -6,7 +6,7 @@ end it is what keeps fixes from being averaged as if each were news.
 
 from __future__ import annotations
 
-from math import inf
+from math import cos, inf, sin
 
 import numpy as np
 
@@ -14,9 +14,8 @@ from polemap.localize.gnss.outlier_mixture import GnssReceiver
 from polemap.localize.output_filter.failed_gate import weigh_by_gnss
 from polemap.localize.output_filter.gate import fails_gate
 from polemap.localize.output_filter.state import FilterState, GnssEvent
-from polemap.vehicle.kalman import innovate, joseph_update
-from polemap.vehicle.packed import SIZE, as_mean, pack, unpack
-from polemap.vehicle.pose import reference_point_jacobian
+from polemap.vehicle.ctrv import update_by_pair
+from polemap.vehicle.packed import Mean, pack, unpack
 
 _FOREVER = inf
 # of a fix's standard deviation, what is its own; the rest wanders with the receiver's error
@@ -47,25 +46,28 @@ def update_by_gnss(
         state = state._replace(rival=weigh_by_gnss(state, state.rival, event, receiver))
     x, y, yaw = state.mean[:3]
     ratio = event.sd_m / receiver.config.sd_m
-    off = np.array(receiver.residual((x, y, yaw), event.east_m, event.north_m))
+    east_m, north_m = receiver.residual((x, y, yaw), event.east_m, event.north_m)
     # fixes share an error that wanders slowly, and each has a smaller one of its own
-    jacobian = np.zeros((2, SIZE))
-    jacobian[:, :3] = reference_point_jacobian(yaw, *receiver.antenna_m)[:2]
-    jacobian[0, _FIX] = jacobian[1, _FIX + 1] = ratio
-    noise = np.eye(2) * (_OWN_SHARE * event.sd_m) ** 2
-    covariance, counts = unpack(state.upper), state.counts
-    mean = np.array(state.mean)
-    innovation = innovate(off - ratio * mean[_FIX:], covariance, jacobian, noise)
+    ahead_m, left_m = receiver.antenna_m
+    c, s = cos(yaw), sin(yaw)
+    rows = (
+        (1.0, 0.0, -s * ahead_m - c * left_m, 0.0, 0.0, 0.0, 0.0, ratio, 0.0),
+        (0.0, 1.0, c * ahead_m - s * left_m, 0.0, 0.0, 0.0, 0.0, 0.0, ratio),
+    )
+    variance, counts = (_OWN_SHARE * event.sd_m) ** 2, state.counts
+    shared_e, shared_n = state.mean[_FIX:]
+    off = east_m - ratio * shared_e, north_m - ratio * shared_n
+    nis, mean, upper = update_by_pair(state.mean, state.upper, *rows, *off, variance)
     since = min(state.gnss_rejected_since_s, state.stamp_s)
-    if fails_gate(innovation.nis, limit) and state.stamp_s - since >= _RENEWED_AFTER_S:
+    if fails_gate(nis, limit) and state.stamp_s - since >= _RENEWED_AFTER_S:
         # has the error of the fixes changed? Other satellites have another one
-        mean[_FIX:] = 0.0
+        covariance = unpack(state.upper)
         covariance[_FIX:, :] = covariance[:, _FIX:] = 0.0
         covariance[_FIX:, _FIX:] = np.eye(2) * receiver.config.sd_m**2
-        innovation = innovate(off, covariance, jacobian, noise)
-        renewed = not fails_gate(innovation.nis, limit)
-        counts = counts._replace(gnss_renewals=counts.gnss_renewals + renewed)
-    if fails_gate(innovation.nis, limit):
+        anew: Mean = (*state.mean[:_FIX], 0.0, 0.0)
+        nis, mean, upper = update_by_pair(anew, pack(covariance), *rows, east_m, north_m, variance)
+        counts = counts._replace(gnss_renewals=counts.gnss_renewals + (not fails_gate(nis, limit)))
+    if fails_gate(nis, limit):
         counts = counts._replace(gnss_rejections=counts.gnss_rejections + 1)
         rejected = state.gnss_rejected + 1
         held = state.stamp_s - state.held_s <= HELD_S
@@ -77,10 +79,9 @@ def update_by_gnss(
             gnss_passed=0,
         )
     passed = state.gnss_passed + 1
-    mean, updated = joseph_update(mean, covariance, innovation, jacobian, noise)
     return state._replace(
-        mean=as_mean(mean),
-        upper=pack(updated),
+        mean=mean,
+        upper=upper,
         counts=counts._replace(gnss_accepted=counts.gnss_accepted + 1),
         gnss_rejected=0,
         gnss_rejected_since_s=_FOREVER,

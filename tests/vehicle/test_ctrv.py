@@ -33,8 +33,13 @@ def test_the_kernel_equals_plain_floats_over_a_drive() -> None:
         row, residual = rows[step % 4], float(rng.normal(0.0, 0.5))
         slow = packed.update_by_two(*slow, row, residual, 0.04)
         fast = ctrv.update_by_two(*fast, row, residual, 0.04)
-        np.testing.assert_allclose(fast[0], slow[0], rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(fast[1], slow[1], rtol=1e-9, atol=1e-12)
+        ahead = tuple(rng.normal(0.0, 1.0, 9).tolist())
+        pair = (ahead, (0.0, 1.0, *ahead[2:]), residual, -0.3, 0.5)
+        slow_nis, *slow = packed.update_by_pair(*slow, *pair)
+        fast_nis, *fast = ctrv.update_by_pair(*fast, *pair)
+        assert fast_nis == pytest.approx(slow_nis, rel=1e-8)
+        np.testing.assert_allclose(fast[0], slow[0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(fast[1], slow[1], rtol=1e-8, atol=1e-9)
 
 
 def test_the_kernel_refuses_what_is_no_state() -> None:

@@ -216,6 +216,47 @@ py::tuple update_by_two(const py::tuple& mean, const py::tuple& upper, const py:
   return py::make_tuple(tuple_of(state), tuple_of(u));
 }
 
+// The same by two measurements at once, each of `variance`: with P H' = B and S = H B + r I.
+py::tuple update_by_pair(const py::tuple& mean, const py::tuple& upper, const py::tuple& row_one,
+                         const py::tuple& row_two, double residual_one, double residual_two,
+                         double variance) {
+  Mean state = numbers_of<kSize>(mean, "mean");
+  Upper u = numbers_of<kUpper>(upper, "upper");
+  const Mean one = numbers_of<kSize>(row_one, "row_one");
+  const Mean two = numbers_of<kSize>(row_two, "row_two");
+  Mean a{}, b{}, k, l;
+  double s00 = variance, s01 = 0.0, s11 = variance;
+  for (int i = 0; i < kSize; ++i) {
+    for (int j = 0; j < kSize; ++j) {
+      const double p = u[number(i, j)];
+      a[i] += p * one[j];
+      b[i] += p * two[j];
+    }
+    s00 += one[i] * a[i];
+    s01 += one[i] * b[i];
+    s11 += two[i] * b[i];
+  }
+  const double determinant = s00 * s11 - s01 * s01;
+  if (!(s00 > 0.0 && determinant > 0.0))
+    throw std::invalid_argument("innovation covariance is not positive definite");
+  for (int i = 0; i < kSize; ++i) {
+    k[i] = (a[i] * s11 - b[i] * s01) / determinant;
+    l[i] = (b[i] * s00 - a[i] * s01) / determinant;
+  }
+  int entry = 0;
+  for (int i = 0; i < kSize; ++i) {
+    const double ki = k[i] * s00 + l[i] * s01, li = k[i] * s01 + l[i] * s11;
+    for (int j = i; j < kSize; ++j, ++entry)
+      u[entry] += ki * k[j] + li * l[j] - k[i] * a[j] - l[i] * b[j] - a[i] * k[j] - b[i] * l[j];
+    state[i] += k[i] * residual_one + l[i] * residual_two;
+  }
+  state[2] = wrap(state[2]);
+  const double nis = (residual_one * residual_one * s11 + residual_two * residual_two * s00 -
+                      2.0 * residual_one * residual_two * s01) /
+                     determinant;
+  return py::make_tuple(nis, tuple_of(state), tuple_of(u));
+}
+
 }  // namespace
 
 PYBIND11_MODULE(packed_kernel, module) {
@@ -224,4 +265,7 @@ PYBIND11_MODULE(packed_kernel, module) {
              py::arg("noise"), py::arg("slip") = 0.0);
   module.def("update_by_two", &update_by_two, py::arg("mean"), py::arg("upper"), py::arg("row"),
              py::arg("residual"), py::arg("variance"));
+  module.def("update_by_pair", &update_by_pair, py::arg("mean"), py::arg("upper"),
+             py::arg("row_one"), py::arg("row_two"), py::arg("residual_one"),
+             py::arg("residual_two"), py::arg("variance"));
 }

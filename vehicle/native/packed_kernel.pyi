@@ -10,3 +10,12 @@ def update_by_two(
     residual: float,
     variance: float,
 ) -> tuple[Mean, Upper]: ...
+def update_by_pair(
+    mean: Mean,
+    upper: Upper,
+    row_one: Mean,
+    row_two: Mean,
+    residual_one: float,
+    residual_two: float,
+    variance: float,
+) -> tuple[float, Mean, Upper]: ...
