@@ -1,4 +1,4 @@
-"""Builds the six C++17 kernels where a compiler is found, and goes on without them elsewhere."""
+"""Builds the eight C++17 kernels where a compiler is found, and goes on without them elsewhere."""
 
 from pathlib import Path
 

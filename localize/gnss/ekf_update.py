@@ -64,7 +64,10 @@ def update_by_gnss(
         covariance = unpack(state.upper)
         covariance[_FIX:, :] = covariance[:, _FIX:] = 0.0
         covariance[_FIX:, _FIX:] = np.eye(2) * receiver.config.sd_m**2
-        anew: Mean = (*state.mean[:_FIX], 0.0, 0.0)
+        known = state.mean
+        anew: Mean = (
+            known[0], known[1], known[2], known[3], known[4], known[5], known[6], 0.0, 0.0,
+        )  # fmt: skip
         nis, mean, upper = update_by_pair(anew, pack(covariance), *rows, east_m, north_m, variance)
         counts = counts._replace(gnss_renewals=counts.gnss_renewals + (not fails_gate(nis, limit)))
     if fails_gate(nis, limit):
