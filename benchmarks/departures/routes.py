@@ -110,10 +110,9 @@ def _scenario(route: str) -> Scenario:
 
 def _victoria_park(seed: int, settings: Settings, folder: Path) -> Course:
     """Lap `test` in the map of lap `map`, judged where three trees stand near."""
-    drive = open_drive(VICTORIA_PARK, seed=seed)
-    mapped, driven = drive.lap("map"), drive.lap("test")
-    scans = scan_drive(mapped, settings.polemap)
-    pole_map = build_map([mapped], settings.polemap, lambda _: scans).pole_map
+    driven = open_drive(VICTORIA_PARK, seed=seed).lap("test")
+    chosen = Settings(polemap=settings.polemap)
+    pole_map, scans = _victoria_park_seen(chosen.model_dump_json())
     reference = driven.reference
     assert reference is not None
 
@@ -124,7 +123,17 @@ def _victoria_park(seed: int, settings: Settings, folder: Path) -> Course:
         poses[trees < NEAR_TREES] = np.nan
         return poses
 
-    return Course(driven, pole_map, tuple(scan_drive(driven, settings.polemap)), truth)
+    return Course(driven, pole_map, scans, truth)
+
+
+@cache
+def _victoria_park_seen(chosen: str) -> tuple[PoleMap, tuple[Detections, ...]]:
+    """Map and scans by settings as JSON: recorded, so the same for every seed."""
+    settings, drive = Settings.model_validate_json(chosen), open_drive(VICTORIA_PARK)
+    mapped, driven = (drive.lap(name) for name in ("map", "test"))
+    scans = scan_drive(mapped, settings.polemap)
+    pole_map = build_map([mapped], settings.polemap, lambda _: scans).pole_map
+    return pole_map, tuple(scan_drive(driven, settings.polemap))
 
 
 def _kidnapped(seed: int) -> Faulty:
@@ -160,9 +169,17 @@ def _kitti_03(seed: int, settings: Settings, folder: Path) -> Course:
     """Real pictures in the LiDAR map, with the odometry of the cameras."""
     drive = replace(_kitti_drive(), gnss=open_drive(KITTI / "sequences" / "03", seed=seed).gnss)
     pole_map = read_map(KITTI / "poles" / "03.csv", drive.frame)
-    scans = scan_drive(drive, settings.polemap, stereo=settings.stereo)
+    chosen = Settings(stereo=settings.stereo, polemap=settings.polemap)
     assert drive.reference is not None
-    return Course(drive, pole_map, tuple(scans), drive.reference.at)
+    scans = _kitti_scans(chosen.model_dump_json())
+    return Course(drive, pole_map, scans, drive.reference.at)
+
+
+@cache
+def _kitti_scans(chosen: str) -> tuple[Detections, ...]:
+    """Of the pictures, by settings as JSON: seen once for all seeds, which differ in fixes."""
+    settings = Settings.model_validate_json(chosen)
+    return tuple(scan_drive(_kitti_drive(), settings.polemap, stereo=settings.stereo))
 
 
 _FILTERS: tuple[Concern, ...] = ("tracks", "particles", "output")
