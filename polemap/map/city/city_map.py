@@ -18,6 +18,7 @@ from polemap.drivelog.frames import EarthFrame
 from polemap.map.city.statistics import MapStatistics
 from polemap.map.city.tiles import Area, Key, Tile, TileStore, box_around, box_in, inside
 from polemap.map.crowds import check_crowds
+from polemap.map.line_map import LineMap
 from polemap.map.pattern_index.index import PatternIndex
 from polemap.map.pattern_index.io import open_index, read_index
 from polemap.map.pole_map import PoleMap, join_maps
@@ -74,6 +75,7 @@ class CityMap:
         self._cache: OrderedDict[Key, Tile] = OrderedDict()
         self._cached = 0
         self._lock = Lock()
+        self._lines_damaged = False
         self._patterns: PatternIndex | None = None
         self._patterns_asked = False
 
@@ -130,7 +132,8 @@ class CityMap:
         return self._patterns
 
     def area(self, boxes: ArrayLike) -> Area:
-        """The poles in boxes `(k, 4)`; tiles that cannot be read are told of and left out."""
+        """The poles in boxes `(k, 4)` and the lines that meet them; what cannot be read is told of
+        and left out."""
         wanted = np.asarray(boxes, dtype=np.float64).reshape(-1, 4)
         tiles, unread = [], []
         for key in self._keys(wanted):
@@ -142,7 +145,19 @@ class CityMap:
                     self.damaged[key] = str(error)
                     _LOG.warning("%s; its poles are left out", error)
             unread.append(self._box(key))
-        return Area(wanted, self._joined(tiles, wanted), np.array(unread).reshape(-1, 4))
+        poles = replace(self._joined(tiles, wanted), lines=self._lines(wanted))
+        return Area(wanted, poles, np.array(unread).reshape(-1, 4))
+
+    def _lines(self, boxes: Floats) -> LineMap | None:
+        own = [box_in(box, self.frame, self._store.frame) for box in boxes]
+        try:
+            lines = self._store.lines_in(np.array(own).reshape(-1, 4))
+        except InputError as error:
+            if not self._lines_damaged:
+                self._lines_damaged = True
+                _LOG.warning("%s; its lines are left out", error)
+            return None
+        return None if lines is None else lines.to_frame(self.frame)
 
     def poles_in(self, box: ArrayLike, columns: Sequence[str] = ()) -> PoleMap:
         """The poles in a box `(4,)`: west, south, east, north.

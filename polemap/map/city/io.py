@@ -10,7 +10,6 @@ from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
 from polemap.map.city.city_map import CityMap
 from polemap.map.city.folder.io import STORES, FolderTiles
-from polemap.map.city.geopackage.io import has_lines
 from polemap.map.city.stored import CITY_POLES
 from polemap.map.city.tiles import TileStore
 from polemap.map.pole_map import PoleMap
@@ -69,9 +68,4 @@ def open_city(path: str | Path, frame: EarthFrame | None = None) -> CityMap | No
         store = STORES[path.suffix.lower()](path)
     if store is None:
         return None
-    city = CityMap(store, frame, str(path))
-    files = path.glob("*.gpkg") if path.is_dir() else [path]
-    if any(file.suffix.lower() == ".gpkg" and has_lines(file) for file in files):
-        note = "its lines are not used: a map of a city is opened by tiles, which hold points"
-        city.notes = (*city.notes, note)
-    return city
+    return CityMap(store, frame, str(path))

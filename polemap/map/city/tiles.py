@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polemap.drivelog.frames import EarthFrame, transform_points
 from polemap.map.city.statistics import MapStatistics
+from polemap.map.line_map import LineMap
 from polemap.map.pole_map import PoleMap
 
 Floats = NDArray[np.float64]
@@ -60,6 +61,14 @@ class TileStore(Protocol):
             InputError: the tile is damaged.
         """
 
+    def lines_in(self, boxes: Floats) -> LineMap | None:
+        """The lines that meet boxes `(k, 4)`, whole, with ids of their own in the whole map; None
+        where it has none.
+
+        Raises:
+            InputError: they are damaged.
+        """
+
 
 @dataclass(frozen=True, slots=True)
 class Area:
@@ -67,7 +76,7 @@ class Area:
 
     Attributes:
         boxes: `(k, 4)` west, south, east, north.
-        poles: that stand in one of them, in the map's order.
+        poles: that stand in one of them, in the map's order, and the lines that meet one.
         unread: `(m, 4)` boxes of tiles that could not be read: of what stands there nothing is
             known.
     """

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -188,13 +190,46 @@ def test_an_inventory_that_somebody_keeps_is_never_replaced(tmp_path: Path, laye
     assert path.read_bytes() == before
 
 
-def test_lines_of_a_city_are_not_left_out_without_a_word(tmp_path: Path) -> None:
-    write_map(_map(UTM, PLACE), tmp_path / "with.gpkg")
-    write_map(replace(_map(UTM, PLACE), lines=None), tmp_path / "without.gpkg")
-    for name, told in (("with", True), ("without", False)):
-        city = open_city(tmp_path / f"{name}.gpkg")
+def test_lines_of_a_city_are_read_where_they_are_asked_for(tmp_path: Path) -> None:
+    made = _map(UTM, PLACE)
+    assert made.lines is not None
+    write_map(made, tmp_path / "a.gpkg")
+    far = replace(made.lines, vertices_m=made.lines.vertices_m + 50_000.0)
+    write_map(replace(made, points_m=made.points_m + 50_000.0, lines=far), tmp_path / "b.gpkg")
+    around = np.array([*PLACE, *PLACE]) + np.array([-50.0, -50.0, 150.0, 150.0])
+    for path in (tmp_path / "a.gpkg", tmp_path):
+        city = open_city(path)
         assert city is not None
-        assert any("lines are not used" in note for note in city.notes) == told
+        (again,) = [area.poles.lines for area in [city.area([around, around + 9.0])]]
+        assert again is not None
+        np.testing.assert_array_equal(again.vertices_m, made.lines.vertices_m)
+        np.testing.assert_array_equal(again.vertex_sd_m, made.lines.vertex_sd_m)
+        np.testing.assert_array_equal(again.ids, made.lines.ids)
+        assert not len(city.area(around + 5_000.0).poles.lines or ())
+    both = open_city(tmp_path)
+    assert both is not None
+    lines = both.area([around, around + 50_000.0]).poles.lines
+    assert lines is not None
+    assert len(set(lines.ids.tolist())) == 4
+
+
+def test_damaged_lines_of_a_city_cost_the_lines_alone(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "a.gpkg"
+    write_map(_map(UTM, PLACE), path)
+    with closing(sqlite3.connect(path)) as database, database:
+        for (name,) in database.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'trigger' AND tbl_name = 'lines'"
+        ).fetchall():
+            database.execute(f'DROP TRIGGER "{name}"')
+        database.execute("UPDATE lines SET geom = x'4750000100000000'")
+    city = open_city(path)
+    assert city is not None
+    found = city.area(np.array([*PLACE, *PLACE]) + np.array([-50.0, -50.0, 150.0, 150.0])).poles
+    assert len(found) == 1
+    assert found.lines is None
+    assert "has a row that is no line" in caplog.text
 
 
 def test_lines_in_another_system_and_moved_by_hand(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from polemap.map.city.parquet.io import ParquetTiles
 from polemap.map.city.statistics import MapStatistics, together
 from polemap.map.city.tiles import Key, Tile, TileStore
 from polemap.map.files.io import map_files
+from polemap.map.line_map import LineMap, join_lines
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +31,8 @@ _OPEN = 32
 # more rows than a file has: the rows of the next file come after them
 _ROWS = 1 << 40
 _WHOLE_FILE = -1
+# lines go on beyond the poles of their file
+_BEYOND_M = 500.0
 
 
 class FolderTiles:
@@ -109,6 +112,21 @@ class FolderTiles:
         """
         tile = self._of(key[0]).read(key[1:], columns)
         return Tile(tile.poles, tile.rows + key[0] * _ROWS)
+
+    def lines_in(self, boxes: Floats) -> LineMap | None:
+        """The lines of all files that meet boxes `(k, 4)`; ids of other files follow.
+
+        Raises:
+            InputError: a file is damaged or gone.
+        """
+        low, high = self._extents[:, :2] - _BEYOND_M, self._extents[:, 2:] + _BEYOND_M
+        meet = (low[:, None] <= boxes[:, 2:]) & (high[:, None] >= boxes[:, :2])
+        parts = []
+        for file in np.flatnonzero(np.all(meet, axis=2).max(axis=1)).tolist():
+            lines = self._of(file).lines_in(boxes)
+            if lines is not None and len(lines):
+                parts.append(lines.with_columns(ids=lines.ids + file * _ROWS))
+        return join_lines(parts) if parts else None
 
     def _of(self, file: int) -> TileStore:
         store = self._open.pop(file, None) or _store(self._files[file])

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from polemap.drivelog.errors import InputError
 from polemap.drivelog.frames import EarthFrame
+from polemap.map.city.geopackage.lines import LineLayer
 from polemap.map.city.statistics import MapStatistics
 from polemap.map.city.stored import METADATA_KEY, StoredCity
 from polemap.map.city.tiles import Key, Tile
 from polemap.map.formats.columns import KNOWN, from_columns
-from polemap.map.formats.lines import LINES, are_ours
+from polemap.map.line_map import LineMap
 from polemap.map.pole_map import KIND_COLUMN
 from polemap.parsing.errors import ParsingError, short
 
@@ -33,21 +34,6 @@ _POINT = np.dtype(
      ("type", "<u4"), ("x", "<f8"), ("y", "<f8")]
 )  # fmt: skip
 _LITTLE_ENDIAN_WITHOUT_BOX, _WKB_POINT = 1, 1
-
-
-def has_lines(path: Path) -> bool:
-    """Whether a GeoPackage of ours holds line landmarks.
-
-    Raises:
-        InputError: a GeoPackage that cannot be read.
-    """
-    try:
-        with closing(_connect(path)) as database:
-            columns = [row[1] for row in database.execute(f'PRAGMA table_info("{LINES}")')]
-            held = database.execute(f'SELECT 1 FROM "{LINES}" LIMIT 1') if columns else None
-            return are_ours(columns) and held is not None and held.fetchone() is not None
-    except sqlite3.Error as error:
-        raise InputError(f"{path}: not a GeoPackage of poles ({short(error)})") from error
 
 
 def describe_city(path: Path, city: StoredCity) -> None:
@@ -71,6 +57,7 @@ class GeoPackageTiles:
 
     Attributes:
         frame, statistics: as `CityMap` needs them.
+        lines: its layer of lines.
     """
 
     def __init__(self, path: Path, city: StoredCity) -> None:
@@ -81,9 +68,11 @@ class GeoPackageTiles:
         self._lock = Lock()
         with self._lock:
             about = self._database.execute(f"PRAGMA table_info({LAYER})").fetchall()
-            (self._geometry,) = self._database.execute(
-                "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (LAYER,)
+            self._geometry, system = self._database.execute(
+                "SELECT column_name, srs_id FROM gpkg_geometry_columns WHERE table_name = ?",
+                (LAYER,),
             ).fetchone()
+            self.lines = LineLayer(self._database, self.frame, system)
         self._columns = [str(row[1]) for row in about]
         self._key = next(str(row[1]) for row in about if row[5])
 
@@ -97,7 +86,9 @@ class GeoPackageTiles:
         try:
             with closing(_connect(path)) as database:
                 city = _described(database)
-            return None if city is None else cls(path, city)
+            tiles = None if city is None else cls(path, city)
+            # a GIS has put the lines elsewhere: they are transformed where the map is read whole
+            return tiles if tiles is not None and tiles.lines.placed else None
         except (sqlite3.Error, StopIteration, TypeError) as error:
             raise InputError(f"{path}: not a GeoPackage of poles ({short(error)})") from error
 
@@ -154,6 +145,18 @@ class GeoPackageTiles:
                 f"{self._path}: the tile at {west:.0f}, {south:.0f} m is damaged ({short(error)}); "
                 "restore it"
             ) from error
+
+    def lines_in(self, boxes: Floats) -> LineMap | None:
+        """The lines that meet boxes `(k, 4)`, whole; None where the map has none.
+
+        Raises:
+            InputError: damaged, or a value that no line has.
+        """
+        try:
+            with self._lock:
+                return self.lines.inside(self._database, boxes)
+        except (InputError, sqlite3.Error) as error:
+            raise InputError(f"{self._path}: {short(error)}; restore it") from error
 
     def _tile(
         self, rows: list[tuple[Any, ...]], names: list[str], low_m: Floats, high_m: Floats

@@ -19,6 +19,7 @@ from polemap.map.city.statistics import MapStatistics
 from polemap.map.city.stored import METADATA_KEY, StoredCity
 from polemap.map.city.tiles import Key, Tile
 from polemap.map.formats.columns import KNOWN
+from polemap.map.line_map import LineMap
 from polemap.map.pole_map import KIND_COLUMN, PoleMap
 from polemap.parsing.errors import short
 
@@ -131,6 +132,10 @@ class ParquetTiles:
     def box(self, key: Key) -> Floats:
         """What the poles of a row group span."""
         return np.asarray(self._boxes[key[0]])
+
+    def lines_in(self, boxes: Floats) -> LineMap | None:
+        """None: the format has no lines."""
+        return None
 
     def read(self, key: Key, columns: Sequence[str] = ()) -> Tile:
         """The poles of a row group.
