@@ -89,6 +89,8 @@ def test_the_core_alone_turns_vectors_in_the_plane() -> None:
     others = {
         "stereo/rig.py",  # pitch and roll
         "drivelog/tum.py",  # the half angle of a quaternion
+        "localize/particle_filter/estimate.py",  # the circular mean of the particles' yaws
+        "localize/particle_filter/particles.py",  # its sine and cosine, kept
         "electric/estimators/kinematic.py",  # a transition matrix, from the single track's step
         "electric/estimators/velocity_layer.py",
     }

@@ -130,6 +130,15 @@ def inverse_transform_points(map_from_vehicle: ArrayLike, points_map_m: ArrayLik
     return rotate_back(offset, pose[..., 2])
 
 
+def mean_way(before: Floats, after: Floats) -> Floats:
+    """Mean way `(2,)` between poses `(n, 3)`, in the axes of each, turned by their mean yaw."""
+    c, s = np.cos(before[:, 2]), np.sin(before[:, 2])
+    east, north = after[:, 0] - before[:, 0], after[:, 1] - before[:, 1]
+    ahead, left = float(c @ east + s @ north), float(c @ north - s @ east)
+    yaw = float(np.arctan2(s.sum(), c.sum()))
+    return rotate(np.array([ahead, left]) / len(before), yaw)
+
+
 def move_reference_point(
     poses: ArrayLike, ahead_m: Floats | float, left_m: Floats | float = 0.0
 ) -> Floats:

@@ -6,7 +6,7 @@ end it is what keeps fixes from being averaged as if each were news.
 
 from __future__ import annotations
 
-from math import cos, inf, sin
+from math import inf
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from polemap.localize.output_filter.failed_gate import weigh_by_gnss
 from polemap.localize.output_filter.gate import fails_gate
 from polemap.localize.output_filter.state import FilterState, GnssEvent
 from polemap.vehicle.ctrv import update_by_pair
-from polemap.vehicle.packed import Mean, pack, unpack
+from polemap.vehicle.packed import Mean, lever_by_yaw, pack, unpack
 
 _FOREVER = inf
 # of a fix's standard deviation, what is its own; the rest wanders with the receiver's error
@@ -48,11 +48,10 @@ def update_by_gnss(
     ratio = event.sd_m / receiver.config.sd_m
     east_m, north_m = receiver.residual((x, y, yaw), event.east_m, event.north_m)
     # fixes share an error that wanders slowly, and each has a smaller one of its own
-    ahead_m, left_m = receiver.antenna_m
-    c, s = cos(yaw), sin(yaw)
+    east_by_yaw, north_by_yaw = lever_by_yaw(yaw, *receiver.antenna_m)
     rows = (
-        (1.0, 0.0, -s * ahead_m - c * left_m, 0.0, 0.0, 0.0, 0.0, ratio, 0.0),
-        (0.0, 1.0, c * ahead_m - s * left_m, 0.0, 0.0, 0.0, 0.0, 0.0, ratio),
+        (1.0, 0.0, east_by_yaw, 0.0, 0.0, 0.0, 0.0, ratio, 0.0),
+        (0.0, 1.0, north_by_yaw, 0.0, 0.0, 0.0, 0.0, 0.0, ratio),
     )
     variance, counts = (_OWN_SHARE * event.sd_m) ** 2, state.counts
     shared_e, shared_n = state.mean[_FIX:]

@@ -11,7 +11,7 @@ from polemap.drivelog.detections import Detections
 from polemap.localize.particle_filter.kernels import particle_kernel
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.vehicle.kalman import symmetric
-from polemap.vehicle.pose import rotate, rotate_covariance
+from polemap.vehicle.pose import mean_way, rotate, rotate_covariance
 
 Floats = NDArray[np.float64]
 
@@ -72,12 +72,7 @@ class PersistentErrors:
             elapsed_s: on the way.
             sd: of the speed's scale and of the yaw rate, rad/s, as far as they are known.
         """
-        c, s = np.cos(before[:, 2]), np.sin(before[:, 2])
-        east, north = after[:, 0] - before[:, 0], after[:, 1] - before[:, 1]
-        # the mean way in the axes of each particle, turned by the mean of their yaws
-        ahead, left = float(c @ east + s @ north), float(c @ north - s @ east)
-        yaw = float(np.arctan2(s.sum(), c.sum()))
-        moved = rotate(np.array([ahead, left]) / len(before), yaw)
+        moved = mean_way(before, after)
         transition = np.eye(3)
         transition[:2, 2] = -moved[1], moved[0]
         lasting = np.zeros((3, 2))

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-import shapely
 from numpy.typing import NDArray
 
 from polemap.build.registration import NO_SHIFT, Shift, register
@@ -131,6 +130,8 @@ def _matched(
 
 def _followed(lines: LineMap, others: LineMap) -> NDArray[np.bool_]:
     """Which lines `(n,)` have others of their kind beside half of their length."""
+    import shapely  # not at the top, where --help would wait for it
+
     shapes = _shapes(lines)
     followed = np.zeros(len(lines), dtype=bool)
     for kind in np.unique(lines.kind):
@@ -142,6 +143,8 @@ def _followed(lines: LineMap, others: LineMap) -> NDArray[np.bool_]:
 
 
 def _shapes(lines: LineMap) -> NDArray[Any]:
+    import shapely
+
     rows = [lines.polyline_m(row) for row in range(len(lines))]
     return np.array([shapely.linestrings(points) for points in rows], dtype=object)
 

@@ -236,24 +236,34 @@ py::tuple update_by_pair(const py::tuple& mean, const py::tuple& upper, const py
     s01 += one[i] * b[i];
     s11 += two[i] * b[i];
   }
-  const double determinant = s00 * s11 - s01 * s01;
-  if (!(s00 > 0.0 && determinant > 0.0))
+  // eliminated, not by the determinant: after an hour without a fix its products cancel
+  const double share = s01 / s00, rest = s11 - share * s01;
+  if (!(s00 > 0.0 && rest > 0.0))
     throw std::invalid_argument("innovation covariance is not positive definite");
   for (int i = 0; i < kSize; ++i) {
-    k[i] = (a[i] * s11 - b[i] * s01) / determinant;
-    l[i] = (b[i] * s00 - a[i] * s01) / determinant;
+    l[i] = (b[i] - share * a[i]) / rest;
+    k[i] = a[i] / s00 - share * l[i];
+  }
+  // (I - K H) P (I - K H)' + K R K', in full: the short form goes negative for large covariances
+  std::array<Mean, kSize> keep{}, half{};
+  for (int i = 0; i < kSize; ++i) {
+    for (int j = 0; j < kSize; ++j)
+      keep[i][j] = (i == j ? 1.0 : 0.0) - k[i] * one[j] - l[i] * two[j];
+    for (int j = 0; j < kSize; ++j)
+      for (int m = 0; m < kSize; ++m) half[i][j] += keep[i][m] * u[number(m, j)];
   }
   int entry = 0;
   for (int i = 0; i < kSize; ++i) {
-    const double ki = k[i] * s00 + l[i] * s01, li = k[i] * s01 + l[i] * s11;
-    for (int j = i; j < kSize; ++j, ++entry)
-      u[entry] += ki * k[j] + li * l[j] - k[i] * a[j] - l[i] * b[j] - a[i] * k[j] - b[i] * l[j];
+    for (int j = i; j < kSize; ++j, ++entry) {
+      double sum = variance * (k[i] * k[j] + l[i] * l[j]);
+      for (int m = 0; m < kSize; ++m) sum += half[i][m] * keep[j][m];
+      u[entry] = sum;
+    }
     state[i] += k[i] * residual_one + l[i] * residual_two;
   }
   state[2] = wrap(state[2]);
-  const double nis = (residual_one * residual_one * s11 + residual_two * residual_two * s00 -
-                      2.0 * residual_one * residual_two * s01) /
-                     determinant;
+  const double second = residual_two - share * residual_one;
+  const double nis = residual_one * residual_one / s00 + second * second / rest;
   return py::make_tuple(nis, tuple_of(state), tuple_of(u));
 }
 
