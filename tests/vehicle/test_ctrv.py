@@ -50,3 +50,19 @@ def test_the_kernel_refuses_what_is_no_state() -> None:
         ctrv.update_by_two(mean, upper, (3, 1.0, 9, 1.0), 0.1, 1.0)
     with pytest.raises(ZeroDivisionError):
         ctrv.update_by_two(mean, pack(np.zeros((9, 9))), (3, 1.0, 5, 0.0), 0.1, 0.0)
+
+
+def test_a_fix_after_an_hour_leaves_a_covariance() -> None:
+    """Variances of 1e9 m2 cancel in the short form of the update, and in a determinant."""
+    mean = (147.0, 59.0, 0.4, 12.6, 0.1, 1.0, 0.0, 0.0, 0.0)
+    upper = pack(np.diag([1.0, 1.0, 0.01, 0.5, 0.01, 1e-3, 1e-4, 6.0, 6.0]))
+    mean, upper = ctrv.ctrv_predict(mean, upper, 3600.0, NOISE, 0.0)
+    slow = (mean, upper)
+    rows = ((1.0, 0.0, -0.4, *[0.0] * 4, 1.08, 0.0), (0.0, 1.0, 0.9, *[0.0] * 4, 0.0, 1.08))
+    for _ in range(30):
+        _, mean, upper = ctrv.update_by_pair(mean, upper, *rows, 0.3, -0.2, 0.29)
+        _, *slow = packed.update_by_pair(*slow, *rows, 0.3, -0.2, 0.29)
+        mean, upper = ctrv.ctrv_predict(mean, upper, 0.1, NOISE, 0.0)
+        slow = packed.ctrv_predict(*slow, 0.1, NOISE, 0.0)
+        assert np.linalg.eigvalsh(packed.unpack(upper)).min() > 0.0
+    np.testing.assert_allclose(mean[:2], slow[0][:2], atol=1e-3)

@@ -84,7 +84,9 @@ def follow(asked: Asked) -> int:
             _say(f"note: {note}")
         with ExitStack() as stack:
             send = _sender(asked, followed, pole_map, stack, stop)
-            engine.run(stop, send, _Watch(engine, followed))
+            watch = _Watch(engine, followed)
+            engine.run(stop, send, watch)
+            watch()  # of what came last, too
         run, drive = engine.run_so_far()
         _finish(asked, run, drive, pole_map, followed)
         code = interrupts.exit_code()
