@@ -47,7 +47,7 @@ class SlowTiles:
         self.asked = Event()
         self.frame, self.statistics = self._store.frame, self._store.statistics
         self.overlapping, self.all_keys = self._store.overlapping, self._store.all_keys
-        self.box = self._store.box
+        self.box, self.lines_in = self._store.box, self._store.lines_in
 
     def read(self, key: tuple[int, ...], columns: tuple[str, ...] = ()) -> Tile:
         self.asked.set()

@@ -117,13 +117,17 @@ class FolderTiles:
         """The lines of all files that meet boxes `(k, 4)`; ids of other files follow.
 
         Raises:
-            InputError: a file is damaged or gone.
+            InputError: the lines of a file are damaged.
         """
         low, high = self._extents[:, :2] - _BEYOND_M, self._extents[:, 2:] + _BEYOND_M
         meet = (low[:, None] <= boxes[:, 2:]) & (high[:, None] >= boxes[:, :2])
         parts = []
         for file in np.flatnonzero(np.all(meet, axis=2).max(axis=1)).tolist():
-            lines = self._of(file).lines_in(boxes)
+            try:
+                store = self._of(file)
+            except InputError:
+                continue  # reading its tiles says what is wrong
+            lines = store.lines_in(boxes)
             if lines is not None and len(lines):
                 parts.append(lines.with_columns(ids=lines.ids + file * _ROWS))
         return join_lines(parts) if parts else None
