@@ -1,7 +1,9 @@
-"""Packages that only some work needs: what installs them is said where one is missing."""
+"""What only some installs have: packages of extras, and kernels that a compiler has built."""
 
 from __future__ import annotations
 
+import warnings
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -75,3 +77,18 @@ def missing_extra(error: ModuleNotFoundError) -> MissingExtraError | None:
     return MissingExtraError(
         f"this needs {top}, which is not installed: pip install 'polemap[{extra}]'"
     )
+
+
+@cache
+def kernel(module: str) -> Any | None:
+    """A C++ kernel, or None where it was not built, which is said once: the plain way serves."""
+    try:
+        return import_module(module)
+    except ImportError:
+        warnings.warn(
+            f"the C++ kernel {module.rpartition('.')[2]} is not built here: Python does its work, "
+            "alike but slower; install a C++17 compiler and run `make setup`",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None

@@ -6,9 +6,9 @@ add up in the same order, and give the same bits on x86 (`update_by_pair`: to ro
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
+from polemap.extras import kernel
 from polemap.vehicle import packed
 
 if TYPE_CHECKING:
@@ -16,10 +16,7 @@ if TYPE_CHECKING:
     update_by_two = packed.update_by_two
     update_by_pair = packed.update_by_pair
 else:
-    try:
-        _steps = import_module("polemap.vehicle.native.packed_kernel")
-    except ImportError:
-        _steps = packed
+    _steps = kernel("polemap.vehicle.native.packed_kernel") or packed
     ctrv_predict, update_by_two = _steps.ctrv_predict, _steps.update_by_two
     update_by_pair = _steps.update_by_pair
 

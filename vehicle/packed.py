@@ -350,9 +350,3 @@ def update_by_pair(
     found = innovate(np.array([residual_one, residual_two]), covariance, jacobian, noise)
     after, updated = joseph_update(np.array(mean), covariance, found, jacobian, noise)
     return found.nis, as_mean(after), pack(updated)
-
-
-def lever_by_yaw(yaw_rad: float, ahead_m: float, left_m: float) -> tuple[float, float]:
-    """How far a point of the vehicle moves east and north by its yaw, metres a radian."""
-    c, s = cos(yaw_rad), sin(yaw_rad)
-    return -s * ahead_m - c * left_m, c * ahead_m - s * left_m

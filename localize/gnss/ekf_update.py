@@ -15,7 +15,8 @@ from polemap.localize.output_filter.failed_gate import weigh_by_gnss
 from polemap.localize.output_filter.gate import fails_gate
 from polemap.localize.output_filter.state import FilterState, GnssEvent
 from polemap.vehicle.ctrv import update_by_pair
-from polemap.vehicle.packed import Mean, lever_by_yaw, pack, unpack
+from polemap.vehicle.packed import Mean, pack, unpack
+from polemap.vehicle.pose import reference_point_jacobian
 
 _FOREVER = inf
 # of a fix's standard deviation, what is its own; the rest wanders with the receiver's error
@@ -48,7 +49,8 @@ def update_by_gnss(
     ratio = event.sd_m / receiver.config.sd_m
     east_m, north_m = receiver.residual((x, y, yaw), event.east_m, event.north_m)
     # fixes share an error that wanders slowly, and each has a smaller one of its own
-    east_by_yaw, north_by_yaw = lever_by_yaw(yaw, *receiver.antenna_m)
+    by_yaw = reference_point_jacobian(yaw, *receiver.antenna_m)[:2, 2]
+    east_by_yaw, north_by_yaw = by_yaw.tolist()
     rows = (
         (1.0, 0.0, east_by_yaw, 0.0, 0.0, 0.0, 0.0, ratio, 0.0),
         (0.0, 1.0, north_by_yaw, 0.0, 0.0, 0.0, 0.0, 0.0, ratio),

@@ -18,11 +18,9 @@ from polemap.drivelog.landmark_kind import LandmarkKind
 from polemap.localize.contradictions import StrangePoles
 from polemap.localize.particle_filter.estimate import position_sd
 from polemap.localize.particle_filter.landmarks import Landmarks
-from polemap.localize.particle_filter.persistent_errors import at_least
+from polemap.localize.particle_filter.persistent_errors import at_least, look
 from polemap.vehicle.pose import (
     pose_rotation,
-    rotate,
-    rotate_covariance,
     transform_points,
     wrap_angle,
 )
@@ -174,8 +172,8 @@ def _residuals(
     """Of each seen corner how far it lies from the nearest mapped one, `(k, 2)`, the covariance of
     what is seen and mapped `(k, 2, 2)`, and the squared distance `(k,)` with that of the place;
     infinite where there is none."""
-    arm = rotate(scan.points_vehicle_m.reshape(-1, 2)[mine], pose[2])
-    seen = transform_points(pose, scan.points_vehicle_m.reshape(-1, 2)[mine])
+    points = scan.points_vehicle_m.reshape(-1, 2)[mine]
+    seen = transform_points(pose, points)
     offset = seen[:, None] - mapped.points_m
     away = np.hypot(offset[..., 0], offset[..., 1])
     if mapped.facing_rad is not None:
@@ -183,12 +181,11 @@ def _residuals(
         away[np.abs(turn) > _SIDE_RAD] = np.inf
     nearest = away.argmin(axis=1)
     rows = np.arange(len(mine))
-    own = scan.covariance_m2.reshape(-1, 2, 2)[mine] + floor_m**2 * np.eye(2)
-    spread = rotate_covariance(own, pose[2])
-    spread = spread + mapped.covariance_m2[nearest][:, [0, 2, 2, 1]].reshape(-1, 2, 2)
-    jacobian = np.zeros((len(mine), 2, 3))
-    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    own, theirs, jacobian = look(
+        points, scan.covariance_m2.reshape(-1, 2, 2)[mine], mapped.covariance_m2[nearest], pose[2],
+        floor_m**2,
+    )  # fmt: skip
+    spread = own + theirs
     total = spread + jacobian @ covariance @ jacobian.transpose(0, 2, 1)
     residual = offset[rows, nearest]
     distance = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(total), residual)

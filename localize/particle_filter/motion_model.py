@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from polemap.extras import kernel
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc
 from polemap.localize.particle_filter.free_motion import FreeMotion
-from polemap.localize.particle_filter.kernels import particle_kernel
 from polemap.localize.particle_filter.odometry_faults import OdometryFaults
 from polemap.vehicle.motion import arc_displacement
 from polemap.vehicle.pose import move_reference_point
@@ -61,15 +61,20 @@ def sample_motion(
     along, beside, turning = factors
     slips = np.broadcast_to(np.asarray(slip_rad_per_mps2, dtype=np.float64), count)
     sound = np.zeros(count)
+    native = (
+        kernel("polemap.localize.particle_filter.native.particle_kernel")
+        if motion is None
+        else None
+    )
     for arc in arcs:
         speed_sd, yaw_rate_sd, turn_sd = noise_of_arc(arc, config)
         noise = rng.standard_normal((4, count))
         # the error of tight turns is not learned where the road is straight
         turn_sd = float(np.hypot(turning * turn_sd, tight_turn_sd(arc, config)))
         left_sd = beside * config.alpha5_slip_m_per_sqrt_m * np.sqrt(abs(arc.speed_mps) * arc.dt_s)
-        if motion is None and particle_kernel is not None:
+        if native is not None:
             wrong = faults is not None and arc.speed_mps != 0.0
-            moved = particle_kernel.move_along_arc(
+            moved = native.move_along_arc(
                 moved, noise, slips,
                 faults.speed_share if faults is not None and wrong else sound,
                 faults.rate_radps if faults is not None and wrong else sound,

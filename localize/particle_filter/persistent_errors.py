@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.drivelog.detections import Detections
-from polemap.localize.particle_filter.kernels import particle_kernel
+from polemap.extras import kernel
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.vehicle.kalman import symmetric
-from polemap.vehicle.pose import mean_way, rotate, rotate_covariance
+from polemap.vehicle.pose import mean_way, reference_point_jacobian, rotate_covariance
 
 Floats = NDArray[np.float64]
+
+KERNEL = "polemap.localize.particle_filter.native.particle_kernel"
 
 # share of the variance of a seen position that stays with the pole while it is passed: a stem's
 # disparity errs alike in all looks (docs/maps.md, step 5)
@@ -122,7 +124,8 @@ class PersistentErrors:
             return
         theirs = assignment[mine]
         column = self._columns(landmarks.ids[theirs])
-        step = plain_scan if particle_kernel is None else particle_kernel.add_scan
+        native = kernel(KERNEL)
+        step = plain_scan if native is None else native.add_scan
         kept, self.covariance, self._poles = step(
             particles,
             self.covariance,
@@ -161,6 +164,23 @@ class PersistentErrors:
         return 2 * np.array([order[pole] for pole in ids.tolist()])
 
 
+def look(
+    points_m: Floats, seen_m2: Floats, mapped_m2: Floats, yaw_rad: float, floor_m2: float
+) -> tuple[Floats, Floats, Floats]:
+    """Landmarks held against the map: covariances `(k, 2, 2)` east and north of what is seen and
+    of what is mapped, and the derivative `(k, 2, 3)` of the places by the pose.
+
+    Args:
+        points_m, seen_m2: `(k, 2)`, `(k, 2, 2)` in the vehicle frame.
+        mapped_m2: `(k, 3)` var east, var north, covariance.
+        floor_m2: variance besides `seen_m2`.
+    """
+    seen = rotate_covariance(seen_m2 + floor_m2 * np.eye(2), yaw_rad)
+    mapped = mapped_m2[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    jacobian = reference_point_jacobian(yaw_rad, points_m[:, 0], points_m[:, 1])[:, :2]
+    return seen, mapped, jacobian
+
+
 def plain_scan(
     particles: Floats,
     covariance: Floats,
@@ -192,12 +212,7 @@ def plain_scan(
         What is left of the pose's error `(3, 3)`; covariance and poles after the scan.
     """
     count = len(points_m)
-    seen = rotate_covariance(seen_m2 + floor_m2 * np.eye(2), yaw_rad)
-    mapped = mapped_m2[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
-    arm = rotate(points_m, yaw_rad)
-    jacobian = np.zeros((count, 2, 3))
-    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    seen, mapped, jacobian = look(points_m, seen_m2, mapped_m2, yaw_rad, floor_m2)
     flat = jacobian.reshape(-1, 3)
     across = particles @ flat.T
     gain = np.linalg.solve(flat @ across + _blocks((seen + mapped) / share), across.T).T

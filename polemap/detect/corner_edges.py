@@ -25,8 +25,8 @@ from polemap.detect.corner_constants import (
     EDGES_MAX,
 )
 from polemap.detect.ground import Ground
-from polemap.detect.kernels import kernel
 from polemap.drivelog.columns import Columns
+from polemap.extras import kernel
 from polemap.stereo.depth_edges import DepthEdges
 from polemap.stereo.rig import StereoRig
 
@@ -98,7 +98,7 @@ def _grouped(
     The C++ kernel does the work where it was built.
     """
     cells = _Cells.of(rig, config)
-    native = kernel("corners_kernel")
+    native = kernel("polemap.detect.native.corners_kernel")
     if native is None:
         return plain_lines(sides, cells)
     columns = [

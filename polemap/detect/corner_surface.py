@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from polemap.detect.corner_edges import UprightEdges
 from polemap.detect.ground import Ground
-from polemap.detect.kernels import kernel
+from polemap.extras import kernel
 from polemap.stereo.depth_edges import UprightMaps
 from polemap.stereo.rig import StereoRig
 
@@ -86,7 +86,7 @@ def sample_walls(
     Args:
         column_px: `(n,)` of the edge in its row `row_px`, sharpened.
     """
-    native = kernel("corners_kernel")
+    native = kernel("polemap.detect.native.corners_kernel")
     if native is None:
         return plain_walls(edges, column_px, maps, ground, rig)
     d = edges.disparity_px

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.detect.kernels import kernel
 from polemap.detect.lines.road_frame import (
     ASIDE_M,
     LEAST_MATCHED,
@@ -21,6 +20,7 @@ from polemap.detect.lines.road_frame import (
     left_m,
     mean_height,
 )
+from polemap.extras import kernel
 from polemap.stereo.depth_edges import UprightMaps
 
 Floats = NDArray[np.float64]
@@ -77,7 +77,7 @@ def _least_step_m(view: RoadView) -> Floats:
 
 
 def _rises(view: RoadView) -> _Rises:
-    native = kernel("road_kernel")
+    native = kernel("polemap.detect.native.road_kernel")
     if native is None:
         return plain_rises(view)
     settings = {

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.detect.kernels import kernel
 from polemap.detect.lines.road_frame import (
     ASIDE_M,
     COLUMNS,
@@ -22,6 +21,7 @@ from polemap.detect.lines.road_frame import (
     ahead_m,
     left_m,
 )
+from polemap.extras import kernel
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -87,7 +87,7 @@ _SETTINGS = {
 
 
 def _stripes(view: RoadView, answer: NDArray[np.uint8]) -> _Stripes:
-    native = kernel("road_kernel")
+    native = kernel("polemap.detect.native.road_kernel")
     if native is None:
         return plain_stripes(view, answer)
     row, level, width, place, contrast = native.stripes(

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polemap.detect.kernels import kernel
 from polemap.detect.lines.road_frame import ASIDE_M, FAR_M, NEAR_M, ROWS, STEP_AHEAD_M
+from polemap.extras import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -119,7 +119,7 @@ def straight_pieces(points_m: Floats, source_row: Ints, rules: PieceRules = PLAI
     """
     if len(points_m) < LEAST_ROWS:
         return []
-    native = kernel("pieces_kernel")
+    native = kernel("polemap.detect.native.pieces_kernel")
     if native is None:
         return plain_pieces(points_m, source_row, rules)
     found = native.straight_pieces(points_m, source_row, rules.settings())

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polemap.detect.ground import Ground
-from polemap.detect.kernels import kernel
 from polemap.drivelog.samples import Image
+from polemap.extras import kernel
 from polemap.stereo.depth_edges import UprightMaps
 from polemap.stereo.rig import StereoRig
 from polemap.vehicle.pose import rotate, rotate_back
@@ -148,7 +148,7 @@ _Heights = tuple[NDArray[np.bool_], Floats32, Floats32, Floats, NDArray[np.int64
 def _heights(
     disparity: Any, pixel_from_cell: Floats, ground: Ground, frame: RoadFrame, maps: UprightMaps
 ) -> _Heights:
-    native = kernel("road_kernel")
+    native = kernel("polemap.detect.native.road_kernel")
     if native is None:
         return plain_heights(disparity, pixel_from_cell, ground, frame, maps)
     plane = np.array([ground.offset, ground.per_column, ground.per_row])

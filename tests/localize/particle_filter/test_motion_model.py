@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from polemap.drivelog.samples import OdometrySample
+from polemap.extras import kernel
 from polemap.localize.config import LocalizeConfig
 from polemap.localize.odometry_history import Arc, OdometryHistory
 from polemap.localize.particle_filter import motion_model
@@ -15,6 +16,7 @@ from polemap.localize.particle_filter.motion_model import (
     tight_turn_sd,
 )
 from polemap.localize.particle_filter.odometry_faults import OdometryFaults
+from polemap.localize.particle_filter.persistent_errors import KERNEL
 from polemap.vehicle.motion import move_along_arc
 from polemap.vehicle.pose import move_reference_point
 
@@ -156,7 +158,8 @@ def test_old_samples_are_forgotten_without_a_jump() -> None:
 
 
 def test_the_kernel_moves_particles_as_plain_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    if motion_model.particle_kernel is None:
+    native = kernel(KERNEL)
+    if native is None:
         pytest.skip("the kernel was not built here")
     rng = np.random.default_rng(5)
     poses = rng.normal(0.0, [1e5, 1e6, 2.0], (300, 3))
@@ -166,8 +169,12 @@ def test_the_kernel_moves_particles_as_plain_numpy(monkeypatch: pytest.MonkeyPat
     assert faults.faulty.any()
     arcs = [Arc(0.06, 9.0, 0.3, 0.0), Arc(0.02, 0.0, 0.0, 0.0), Arc(0.05, -2.0, 0.0, 0.0)]
     moved = []
-    for kernel in (motion_model.particle_kernel, None):
-        monkeypatch.setattr(motion_model, "particle_kernel", kernel)
+    for one in (native, None):
+        monkeypatch.setattr(
+            motion_model,
+            "kernel",
+            {KERNEL: one}.get,
+        )
         moved.append(
             sample_motion(
                 poses, arcs, 2.7, LocalizeConfig(), np.random.default_rng(1), slips,

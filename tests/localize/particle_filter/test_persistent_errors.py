@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polemap.drivelog.detections import Detections, pole_detections
-from polemap.localize.particle_filter.kernels import particle_kernel
+from polemap.extras import kernel
 from polemap.localize.particle_filter.landmarks import Landmarks
 from polemap.localize.particle_filter.persistent_errors import (
+    KERNEL,
     PersistentErrors,
     at_least,
     plain_scan,
@@ -172,6 +173,9 @@ def test_neither_covariance_is_undercut(seed: int) -> None:
         assert np.linalg.eigvalsh(joined - below)[0] > -1e-9
     np.testing.assert_allclose(at_least(a, 0.5 * a), a)
     np.testing.assert_allclose(at_least(a, 2.0 * a), 2.0 * a, rtol=1e-5)
+
+
+particle_kernel = kernel(KERNEL)
 
 
 @pytest.mark.skipif(particle_kernel is None, reason="the kernel was not built here")

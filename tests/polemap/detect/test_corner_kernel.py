@@ -11,13 +11,14 @@ from polemap.detect import corner_edges, corner_surface
 from polemap.detect.config import DetectionConfig
 from polemap.detect.constants import STEP_MIN_M, STEP_MIN_PX
 from polemap.detect.ground import fit_ground
-from polemap.detect.kernels import kernel
+from polemap.extras import kernel
 from polemap.stereo.depth_edges import depth_edges, upright_maps
 from polemap.stereo.matching import DisparityPair
 from tests.polemap.detect.test_corners import WALL_ENDS, Wall, matched_maps
 from tests.polemap.street import RIG
 
-pytestmark = pytest.mark.skipif(kernel("corners_kernel") is None, reason="the kernel is not built")
+NATIVE = kernel("polemap.detect.native.corners_kernel")
+pytestmark = pytest.mark.skipif(NATIVE is None, reason="the kernel is not built")
 
 _STREET = [wall for wall, _ in WALL_ENDS[::2]] + [Wall((9.0, -2.0), (9.1, -2.2), 3.0)]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polemap.detect.kernels import kernel
 from polemap.detect.lines.pieces import PLAIN, SHORT, PieceRules, plain_pieces, straight_pieces
+from polemap.extras import kernel
 
 
 def _points(seed: int, lines: int, clutter: int) -> tuple[np.ndarray, np.ndarray]:
@@ -26,7 +26,10 @@ def _points(seed: int, lines: int, clutter: int) -> tuple[np.ndarray, np.ndarray
     return points, (1000.0 / points[:, 0]).astype(np.int64)
 
 
-@pytest.mark.skipif(kernel("pieces_kernel") is None, reason="the kernel is not built")
+NATIVE = kernel("polemap.detect.native.pieces_kernel")
+
+
+@pytest.mark.skipif(NATIVE is None, reason="the kernel is not built")
 @pytest.mark.parametrize("rules", [PLAIN, SHORT], ids=["plain", "short"])
 @pytest.mark.parametrize("seed", range(12))
 def test_the_kernel_says_what_the_plain_way_says(seed: int, rules: PieceRules) -> None:
@@ -60,7 +63,7 @@ def test_a_gap_ends_a_piece_and_few_rows_are_none() -> None:
     assert straight_pieces(line, np.arange(40) // 10) == []
 
 
-@pytest.mark.skipif(kernel("pieces_kernel") is None, reason="the kernel is not built")
+@pytest.mark.skipif(NATIVE is None, reason="the kernel is not built")
 def test_the_kernel_refuses_what_it_cannot_place() -> None:
     points, rows = _points(1, 1, 5)
     points[0, 1] = np.nan

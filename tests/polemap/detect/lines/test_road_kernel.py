@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from polemap.detect.ground import fit_ground
-from polemap.detect.kernels import kernel
 from polemap.detect.lines import kerbs, markings, road_frame
 from polemap.detect.lines.find import find_lines
 from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.extras import kernel
 from polemap.stereo.depth_edges import UprightMaps
 from tests.polemap.detect.lines.scenes import RIG, Scene
 
@@ -29,7 +29,10 @@ def _scene(seed: int) -> tuple[NDArray[np.uint8], UprightMaps]:
     return image, UprightMaps(left, left, maps.row_step_px, maps.height_px)
 
 
-@pytest.mark.skipif(kernel("road_kernel") is None, reason="the kernel is not built")
+NATIVE = kernel("polemap.detect.native.road_kernel")
+
+
+@pytest.mark.skipif(NATIVE is None, reason="the kernel is not built")
 @pytest.mark.parametrize("seed", range(2))
 def test_the_kernel_says_what_the_plain_way_says(
     seed: int, monkeypatch: pytest.MonkeyPatch
@@ -60,7 +63,7 @@ def test_without_a_compiler_the_plain_way_serves_and_says_so(
 
     image, maps = _scene(0)
     with monkeypatch.context() as patched:
-        patched.setattr("polemap.detect.kernels.import_module", none)
+        patched.setattr("polemap.extras.import_module", none)
         kernel.cache_clear()
         with pytest.warns(RuntimeWarning, match="road_kernel is not built"):
             plain = find_lines(
