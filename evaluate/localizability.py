@@ -28,7 +28,7 @@ from polemap.detect.constants import ACROSS_SD_M, AXIS_SD_SHARE, COLUMN_SD_PX, D
 from polemap.detect.visibility import camera_sector
 from polemap.drivelog.detections import Detections, VisibleRegion, pole_view
 from polemap.drivelog.drive import Drive
-from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind
+from polemap.drivelog.landmark_kind import POINT_KINDS, LandmarkKind, kind_name
 from polemap.evaluation.line_information import LineSds, line_information, stated_sds
 from polemap.localize.particle_filter.corner_sides import CORNER_DETECTION
 from polemap.map.pole_map import PoleMap
@@ -235,7 +235,7 @@ def held_shares(parts: Sequence[Localizability]) -> list[tuple[str, float, float
                 held = np.array(part.holding(kind))
                 left &= ~held
                 total += held.sum(axis=1)
-        name = kind.name.lower().replace("_", " ")
+        name = kind_name(kind)
         rows.append((name, *(total / max(count, 1)).tolist()))
     none = np.sum([left.sum(axis=1) for left in free], axis=0) / max(count, 1)
     return [*rows, ("none", *none.tolist())]

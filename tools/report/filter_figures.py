@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from polemap.drivelog.landmark_kind import LandmarkKind
+from polemap.drivelog.landmark_kind import LandmarkKind, kind_name
 from polemap.evaluation.localizability import HELD_SD_M, Localizability
 from polemap.evaluation.results import RouteResult, SystemResult
 from polemap.tools.report.route_bound import PRIOR_SD, STEP_M, route_bound
@@ -260,7 +260,7 @@ def _draw_holders(axes: Any, bound: Localizability, kinds: list[LandmarkKind]) -
         ):
             spans = np.column_stack([at, step])[held]
             axes.broken_barh([tuple(s) for s in spans.tolist()], (up - row, 0.36), color=colour)
-    names = [kind.name.lower().replace("_", " ") for kind in kinds]
+    names = [kind_name(kind) for kind in kinds]
     axes.set_yticks([-row for row in range(len(kinds))], names)
     axes.set_ylim(-len(kinds) + 0.5, 0.5)
     axes.grid(visible=False, axis="y")
