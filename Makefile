@@ -4,6 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+ROOMS := polemap stereo localize tools vehicle electric drivelog evaluate simulate benchmarks
 NATIVE := $(wildcard stereo/native/*.?pp localize/particle_filter/native/*.?pp simulate/native/*.?pp polemap/detect/native/*.?pp vehicle/native/*.?pp)
 
 .PHONY: setup demo test check check-docs lint bench city campaign figures docs site lock clean
@@ -13,9 +14,11 @@ setup: .venv/.ready
 .venv/.ready: pyproject.toml setup.py requirements.lock $(NATIVE)
 	$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("polemap needs Python 3.11 or newer, this is " + sys.version.split()[0] + ": set PYTHON=python3.11")'
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@# bytecode is made on first use: of most of these packages only a part is ever imported
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps --no-compile -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --no-compile -e .
+	@# on all cores, and here: where nobody may write bytecode later, every start would compile it anew;
+	@# packages hold templates and tests that are no Python, which is no error
+	$(BIN)/python -m compileall -qq -j 0 .venv/lib $(ROOMS) || true
 	touch $@
 
 demo: setup
